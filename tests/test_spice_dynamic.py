@@ -42,13 +42,14 @@ def test_settling_and_noise_agree(design: Design) -> None:
 
 @pytest.mark.parametrize("cells", [CELLS, CELLS / 3])
 @pytest.mark.parametrize("feedback_capacitance", [0.0, 10e-12])
-def test_the_loop_gain_agrees_with_the_closed_form(cells: np.ndarray, feedback_capacitance: float) -> None:
+def test_the_loop_gain_agrees(cells: np.ndarray, feedback_capacitance: float) -> None:
     need(spice.command_available())
-    design = _linear(feedback_capacitance=feedback_capacitance, column_capacitance=300e-12)
+    no_limit = (-float("inf"), float("inf"))  # an amplifier at a limit does not hold its column
+    design = _linear(feedback_capacitance=feedback_capacitance, column_capacitance=300e-12, supply=no_limit)
     found = spice.dynamic_reading(design, cells, 0, column=2)
     expected = stability(design, cells)
-    assert found.phase_margin == pytest.approx(expected.phase_margin[0, 2], abs=0.05)
-    assert found.crossover == pytest.approx(expected.crossover[0, 2], rel=2e-4)
+    assert found.phase_margin == pytest.approx(expected.phase_margin[0, 2], abs=1e-3)
+    assert found.crossover == pytest.approx(expected.crossover[0, 2], rel=2e-5)
 
 
 def test_an_amplifier_that_never_reaches_gain_1_has_no_margin() -> None:
