@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
 
-from ohmskin.circuits import Design, Requirement
+from ohmskin.circuits import Design, Requirement, scan
 from ohmskin.errors import MissingExtra
 from ohmskin.verification import Outcome, default_requirements, verify
 from ohmskin.verification._outcome import Measurement
@@ -208,3 +209,34 @@ def test_each_verdict_is_told_when_it_is_known() -> None:
     assert isinstance(report.interruption, KeyboardInterrupt)
     assert [r.reason for r in report.results][2:] == ["the run was stopped before"] * 2
     assert report.exit_code != 0
+
+
+UNLIKE_ROWS = {
+    "selected": ["V1 drive 0 -1", "R1 drive line 35"],
+    "idle": ["R1 line 0 35"],
+    "values": {"selected.R1": [35.0, 2000.0]},
+}
+HELD = {"parts": ["X1 0 line out opamp", "R1 line out 2.2k"]}
+LOADED = {"parts": ["R1 line 0 10k"]}
+DIODES = {"parts": ["D1 row cell 1N4148"]}
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [
+        {"row_end": UNLIKE_ROWS, "column_end": HELD},
+        {"row_end": {"selected": ["V1 line 0 3.3"], "idle": []}, "column_end": LOADED, "crosspoint": DIODES},
+    ],
+    ids=["row ends that differ", "a diode at each cell"],
+)
+def test_readings_are_judged_by_the_law_of_their_own_crosspoint(ends: dict[str, Any]) -> None:
+    """By all presses of two cells, and what a scan makes of their readings; presses in between are hardly worse."""
+    size = {"rows": 2, "columns": 1}
+    design = Design.model_validate(
+        {"array": size, "cells": {"rest_resistance": 10e3, "full_scale_resistance": 6e3}, **ends}
+    )
+    worst = 0.0
+    for pressed in product((10e3, 6e3), repeat=2):
+        cells = np.array(pressed)[:, None]
+        worst = max(worst, float(np.abs(scan(design, cells).resistance / cells - 1.0).max()))
+    assert _found(design, "reading_error", method="nominal").value == pytest.approx(100 * worst, abs=0.3)

@@ -47,15 +47,23 @@ class Frame:
 
 
 def law_of(box: Box, row: IntArray, column: IntArray) -> Law:
-    """The host's law for readings (C,) of the cells (C,)."""
+    """The host's law for readings (C,) of the cells (C,).
+
+    The readings of different cells share frames, since the law of a cell depends on the ends of both its lines.
+    """
     board = box.design.board
-    sensed = board.shape[1] - 1 - row if board.turned else column
-    each = np.arange(len(sensed))
+    if board.turned:
+        row, column = board.shape[0] - 1 - column, board.shape[1] - 1 - row
+    place = row * board.shape[1] + column
+    order = np.argsort(place, kind="stable")
+    ordered = place[order]
+    frame = np.empty(len(place), dtype=np.intp)
+    frame[order] = np.arange(len(place)) - np.searchsorted(ordered, ordered)
 
     def ohms(volts: FloatArray) -> FloatArray:
-        lines = np.full((len(sensed), 1, board.shape[1]), board.level)
-        lines[each, 0, sensed] = volts
-        found: FloatArray = board.circuit.apparent_resistance(board, lines)[each, 0, sensed]
+        lines = np.full((frame.max(initial=-1) + 1, *board.shape), board.level)
+        lines[frame, row, column] = volts
+        found: FloatArray = board.circuit.apparent_resistance(board, lines)[frame, row, column]
         return found
 
     return ohms
