@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 
 import numpy as np
@@ -173,8 +172,8 @@ def test_contacts_that_fail_are_no_fingers(kind: str) -> None:
 
 def test_the_command_prints_what_was_found(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """A board of 4 x 4 cells, which has scenes of taps and of contacts that fail; the rows as text and as JSON."""
-    few = functools.partial(bench.fingers, boards=bench.BOARDS[:1], scenes=[bench.SCENES[0], bench.SCENES[-1]])
-    monkeypatch.setattr(bench, "fingers", few)
+    monkeypatch.setattr(bench, "BOARDS", bench.BOARDS[:1])
+    monkeypatch.setattr(bench, "SCENES", [bench.SCENES[0], bench.SCENES[-1]])
     assert run(["bench", "--contacts", "--size", "4"]) == 0
     assert "4 x 4" in capsys.readouterr().out
     assert run(["bench", "--contacts", "--size", "4", "--json"]) == 0
