@@ -13,7 +13,7 @@ from ohmskin.cell import Cell, PaperModel
 from ohmskin.cell.estimation import Material
 from ohmskin.cell.estimation import _filter as filters
 from ohmskin.cell.estimation import _modes as modes
-from ohmskin.cell.estimation._columns import share_each
+from ohmskin.cell.estimation._columns import RARE, WHITE, share_each
 from ohmskin.common.arrays import FloatArray
 from ohmskin.common.compiled import zeros
 
@@ -174,6 +174,67 @@ def test_mixing_keeps_the_probability(seed: int) -> None:
     assert c.w.sum() == pytest.approx(1.0 + t.shakes * (1.0 - e.w[modes.SHAKE]), abs=1e-6)
 
 
+@given(st.integers(0, 2**32 - 1), st.floats(0.05, 0.95), st.booleans())
+def test_what_comes_to_a_mode_keeps_the_moments_of_the_mixture(seed: int, share: float, turns: bool) -> None:
+    """Of two pools, each of two modes; a way that a turn hides is unknown, as is the speed that it was gone with."""
+    e, p, c = zeros(filters.Estimates, 1)[0], zeros(filters.Pools, 1)[0], zeros(filters.Candidates, 1)[0]
+    random, t = np.random.default_rng(seed), step_of(0.05)
+    weights, slow = np.array([1.0 - share, share]), random.uniform(0.0, 0.1, 4)
+    means, covariances, x3 = [], [], []
+    for k in range(2):
+        parts = [drawn(seed + 2 * k), drawn(seed + 2 * k + 1)]
+        for j, part in enumerate(parts):
+            written(e, 2 * k + j, *part)
+            e.x3[2 * k + j] = slow[2 * k + j]
+            filters.pool(p, k, 0.5, e, 2 * k + j)
+        x3.append(slow[2 * k : 2 * k + 2].mean())
+        mean = np.mean([m for m, _ in parts], axis=0)
+        covariance = np.mean([cov + np.outer(m - mean, m - mean) for m, cov in parts], axis=0)
+        if turns:
+            gain = (MATERIAL.gu - MATERIAL.g1) * 0.05
+            covariance[1, 1] += (gain * t.unseen_std) ** 2 * (covariance[2, 2] + mean[2] ** 2)
+            mean[1] += gain * t.unseen * abs(mean[2])
+        means.append(mean[:2])
+        covariances.append(covariance[:2, :2])
+        filters.comes(c, 0, weights[k], p, k, turns, False, 0.0, t)
+    mean = weights @ np.array(means)
+    parted = zip(weights, means, covariances, strict=True)
+    expected = sum(w * (cov + np.outer(m - mean, m - mean)) for w, m, cov in parted)
+    found, left = gaussian(c, 0)
+    np.testing.assert_allclose(found[:2], mean)
+    np.testing.assert_allclose(left[:2, :2], expected, atol=1e-12)
+    assert c.x3[0] == pytest.approx(weights @ x3)
+
+
+@given(st.sampled_from([(modes.LINE_UP, modes.LINE_DOWN), (modes.LINE_DOWN, modes.LINE_UP)]), st.floats(0.1, 3.0))
+def test_only_a_change_of_phase_hides_a_way(ways: tuple[int, int], speed: float) -> None:
+    """A motion that goes on the way it went has the r that it had; one that turns has more."""
+    e, c, p = zeros(filters.Estimates, 1)[0], zeros(filters.Candidates, 1)[0], zeros(filters.Pools, 1)[0]
+    on, back = ways
+    e.w[on], e.s[on], e.r[on], e.v[on] = 1.0, 0.5, 0.4, speed if on == modes.LINE_UP else -speed
+    filters.mix(e, c, p, step_of(0.01))
+    assert c.r[modes.MODES + on] == pytest.approx(0.4, abs=1e-12)
+    assert c.r[modes.MODES + back] > 0.4 + 1e-6
+
+
+@given(st.floats(0.1, 0.8), st.floats(5.0, 50.0))
+@settings(max_examples=20)
+def test_a_load_that_shakes_within_a_step_raises_r_as_the_cell_does(load: float, speed: float) -> None:
+    """r of a cell whose load goes to and fro within a step, beyond that of one whose load is held."""
+    dt_s, swings, t = 1e-4, 20, step_of(1e-4)
+    size = speed * dt_s / (2 * swings)  # up and down again makes the path
+    to_and_fro = load + size * np.tile([1.0, 0.0], swings)
+    times, r = np.r_[1.0, np.full(2 * swings, dt_s / (2 * swings))], []
+    for after in (to_and_fro, np.full(2 * swings, load)):
+        run = CELL.forward(()).run(times, np.r_[load, after] * FULL_KPA)
+        r.append(run[-1] / CELL.rest_resistance_ohm)
+    c = zeros(filters.Candidates, 1)[0]
+    c.s[:2], c.v[1] = load, speed
+    for n in range(2):
+        filters.predict(c, n, modes.SHAKE, t)
+    assert c.r[1] - c.r[0] == pytest.approx(r[0] - r[1], rel=0.02)
+
+
 # -- Bayes' rule --
 
 
@@ -296,6 +357,20 @@ def test_an_interval_far_away_is_judged_by_its_near_end(off: float, side: float)
     assert np.log(factor) - distance == pytest.approx(expected, abs=0.25)
 
 
+@given(st.integers(0, 2**32 - 1), st.floats(5.01, 30.0), st.floats(1.0, 1e3), st.sampled_from([1.0, -1.0]))
+def test_an_interval_far_away_moves_an_estimate_to_its_near_end(seed: int, z: float, width: float, side: float) -> None:
+    """The moments of a normal tail: a fifth of a deviation beyond the end at most, and next to no variance."""
+    mean, covariance = drawn(seed)
+    c = zeros(filters.Candidates, 1)[0]
+    written(c, 0, mean, covariance)
+    std = covariance[1, 1] ** 0.5
+    low, high = sorted((mean[1] + side * z * std, mean[1] + side * (z + width) * std))
+    filters.within(c, 0, covariance[1, 1], low, high)
+    cut = truncnorm(z, z + width)
+    assert side * (c.r[0] - mean[1]) / std == pytest.approx(cut.mean(), abs=0.2)
+    assert 0.0 < c.rr[0] / std**2 < 0.05
+
+
 def test_the_density_of_a_reading_is_that_of_the_mixture() -> None:
     """Of a cell in one mode, whose estimate is far from every bound: the predicted normal density."""
     e, c, p = zeros(filters.Estimates, 1)[0], zeros(filters.Candidates, 1)[0], zeros(filters.Pools, 1)[0]
@@ -334,6 +409,36 @@ def test_a_cell_takes_no_part_in_what_its_column_shares_for_it() -> None:
     assert (corrected(off)[[2, 4]] < 0.01).all()
     alike = corrected(np.full(5, 3e-3))
     assert (alike > 0.8 * 3e-3).all()  # what all show is taken out
+
+
+@given(st.integers(0, 2**32 - 1), st.booleans())
+def test_what_a_column_shares_is_the_posterior_of_the_other_cells(seed: int, outlier: bool) -> None:
+    """Its mean and variance by the joint normal law of the column; a reading counts up to 3 deviations (Huber)."""
+    random, t = np.random.default_rng(seed), steps_of(0.01)
+    cells, watches = zeros(filters.Estimates, 6), zeros(filters.Watch, 6)
+    watches["asleep"], watches["centre"] = 1.0, random.normal(0.0, 0.1, 6)
+    shared, noise = random.choice([-1.0, 1.0], 6) * random.uniform(1e-3, 4e-3, 6), random.uniform(1e-6, 1e-5, 6)
+    off = 0.5 * random.uniform(-1.0, 1.0, 6) * np.sqrt(noise)
+    total = np.sqrt(noise + shared**2)
+    if outlier:
+        off[0] = 3.0 * total[0] * random.uniform(1.5, 4.0) * random.choice([-1.0, 1.0])
+    low, high, var = watches["centre"] + off, watches["centre"] + off, noise.copy()
+    share_each(cells, watches, t, shared, np.ones(6), np.ones(6), np.zeros(1), low, high, var, *np.empty((2, 6)))
+    counted = np.clip(off, -3.0 * total, 3.0 * total)
+    averaged = sum((WHITE * (1.0 - WHITE) ** n) ** 2 for n in range(1000))  # variance of the recent mean of white z
+    inverse = np.linalg.inv(np.outer(shared, shared) + np.diag(noise))
+    if abs(shared @ inverse @ counted) > RARE:  # a load on the whole column
+        np.testing.assert_allclose(low, watches["centre"] + off)
+        np.testing.assert_allclose(var, noise + shared**2)
+        return
+    for i in range(6):
+        others = np.arange(6) != i
+        joint = np.outer(shared[others], shared[others]) + np.diag(noise[others])
+        gain = np.linalg.solve(joint, shared[others])
+        expected = watches["centre"][i] + off[i] - shared[i] * (gain @ counted[others])
+        assert low[i] == high[i] == pytest.approx(expected, abs=1e-12)
+        left = 1.0 - gain @ shared[others]
+        assert var[i] == pytest.approx(noise[i] + shared[i] ** 2 * (left + averaged))
 
 
 # -- the whole filter --
