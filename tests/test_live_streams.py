@@ -41,6 +41,7 @@ FOUND = {
     "a node without a connection": ["open divider:30000041"],
     "what others leave open does not wait": ["divider:30000046"],
     "segments as heavy as the cells": ["feedback:30000022"],
+    "an open line says nothing of usual cells": ["row:440000149", "row:440000167", "row:430000086"],
     "floating rows that join columns": [f"multiplexed:410000{number}" for number in (219, 239, 263, 286)],
 }
 

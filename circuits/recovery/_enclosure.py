@@ -31,7 +31,7 @@ from ._law_kernels import LEAST, OPEN_ROW, OPEN_SCALE, TINY
 _MARGIN = 1.2  # for segments, and for what is beyond the first order
 _UNCLEAR = 0.1  # relative error from which on a cell's own error counts in other columns
 _TIED = 0.01  # share of a row's drive from which on a cell ties its column to the row
-_UNUSUAL = 30.0  # largest ratio of a cell beside a short to those of other columns, behind amplifiers
+_UNUSUAL = 30.0  # largest ratio of a cell beside a short to the best conducting one, behind amplifiers
 _MOST = 1e6  # relative change that stands for any larger one
 _CORRECTED = 3.0  # most by which a cell beyond the law's counts
 _LEAST_LEFT = 1e-9  # of a row's drive
@@ -167,14 +167,9 @@ def enclose(
     floating = board.floating > 0.0
     some, usual = False, 0.0
     for j in range(columns):
-        most, here = 0.0, False
         for i in range(rows):
-            here = here or limited[i, j] or under_range[i, j]
-            most = max(most, driven[i, j])
-        if here:
-            some = True
-        else:
-            usual = max(usual, most)
+            some = some or limited[i, j] or under_range[i, j]
+            usual = max(usual, driven[i, j])
     for j in range(columns):
         scale_open, here = column_open[j] > OPEN_SCALE, False
         of_scale = of_left[j] if scale_open else 0.0
