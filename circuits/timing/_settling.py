@@ -10,7 +10,8 @@ linear. Slewing is not modelled; saturated frames are refused.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from math import inf, pi
 from typing import NamedTuple
 
@@ -139,7 +140,8 @@ _TOGETHER = 1 << 18
 """matrix entries of equations that are solved in one call"""
 _NEAR = 0.1  # of the limit; between two steps of a quarter of a radian a deviation rises by less than this
 _GOLDEN = 0.6180339887498949
-_CROSSING = 1e-9  # of a period, or of the logarithm of a frequency, to which a crossing is known
+_CROSSING = 1e-9  # of a period or of the logarithm of a frequency, to which a crossing is known
+_CROSSES = 1e-7  # of the logarithm of a crossover, to which it is known
 _MOST_STEPS = 60  # of that search; each third halves the bracket
 _SECTIONS = 20  # golden sections of a peak's bracket: to 1e-4 of it, and the peak itself to the square of that
 
@@ -293,8 +295,12 @@ class LoopGain:
 class Stability(LoopGain):
     """Stability of each amplifier on its line, (rows, columns)."""
 
-    peaking: FloatArray
-    """largest gain from cell current to output over frequency, relative to DC; 1: no peak"""
+    _peaking: Callable[[], FloatArray] = field(repr=False)
+
+    @cached_property
+    def peaking(self) -> FloatArray:
+        """Largest gain from cell current to output over frequency, relative to DC; 1: no peak. Searched on access."""
+        return self._peaking()
 
 
 def stability(design: Design, resistance: ArrayLike) -> Stability:
@@ -306,10 +312,10 @@ def stability(design: Design, resistance: ArrayLike) -> Stability:
         InputError: as :class:`Settling`, or ``readout.gain_bandwidth`` is infinite.
 
     """
-    cells = design.resistance(resistance)[None]
-    loops = _Loops.of(design, Boards.of(design), cells)
-    found, peaking = _loop_gain(design, loops, 1), _each_cell(design, loops.peaking(), 1)
-    return Stability(found.noise_gain[0], found.crossover[0], found.phase_margin[0], peaking[0])
+    loops = _Loops.of(design, Boards.of(design), design.resistance(resistance)[None])
+    found = _loop_gain(design, loops, 1)
+    values = found.noise_gain[0], found.crossover[0], found.phase_margin[0]
+    return Stability(*values, lambda: _each_cell(design, loops.peaking(), 1)[0])
 
 
 def stability_of_boards(design: Design, boards: Boards, cells: FloatArray) -> LoopGain:
@@ -319,7 +325,7 @@ def stability_of_boards(design: Design, boards: Boards, cells: FloatArray) -> Lo
 
 def _loop_gain(design: Design, loops: _Loops, count: int) -> LoopGain:
     omega = loops.crossover()
-    angle = np.degrees(np.angle(loops.at(omega)[0]))
+    angle = np.degrees(np.angle(loops.at(omega, loops.grid(omega))[0]))
     values = loops.noise_gain, omega / (2 * pi), np.where(angle > 90.0, angle - 180.0, angle + 180.0)
     return LoopGain(*(_each_cell(design, value, count) for value in values))
 
@@ -368,43 +374,60 @@ class _Loops(NamedTuple):
         gain: FloatArray = 1.0 + np.einsum("kjj->kj", self.network) / self.feedback
         return gain
 
-    def at(self, omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Loop gain (K, M), and gain from current to output in ohm, of each column at a frequency (K, M) of its own.
+    def grid(self, omega: FloatArray) -> ComplexArray:
+        """(K, M) S of the grid at each column's end at a frequency (K, M) of its own, without its own amplifier.
 
         All other amplifiers hold their columns as well as they can at that frequency.
         """
-        loop, transfer = np.empty((2, *omega.shape), dtype=np.complex128)
+        found = np.empty(omega.shape, dtype=np.complex128)
         columns = np.arange(omega.shape[1])
         size = max(1, _TOGETHER // len(columns) ** 3)
         for first in range(0, len(omega), size):
             network, feedback, slack, speed, line, across = (part[first : first + size, None] for part in self)
             s = 1j * omega[first : first + size, :, None]
-            gain, back = 1.0 / (slack + s / speed), feedback + s * across  # (K, judged column, column)
-            matrix = network + (((1.0 + gain) * back + s * line)[..., None] * np.eye(len(columns)))
+            back = feedback + s * across  # (K, judged column, column)
+            held = back + s * line + np.where(np.eye(len(columns)), 0.0, back / (slack + s / speed))
+            matrix = network + held[..., None] * np.eye(len(columns))
             ends = np.linalg.solve(matrix, np.eye(len(columns))[:, :, None])[:, columns, columns, 0]
-            through = gain[:, columns, columns] * ends
-            passed = through * back[:, columns, columns]
-            loop[first : first + size], transfer[first : first + size] = passed / (1.0 - passed), through
-        return loop, transfer
+            found[first : first + size] = 1.0 / ends - held[:, columns, columns]
+        return found
+
+    def at(self, omega: FloatArray, grid: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Loop gain (K, M), and gain from current to output in ohm, at a frequency (K, M)."""
+        s: ComplexArray = (1j * omega).astype(np.complex128)
+        gain, back = 1.0 / (self.slack + s / self.speed), self.feedback + s * self.across
+        ahead = grid + back + s * self.line
+        return gain * back / ahead, gain / (ahead + gain * back)
 
     def crossover(self) -> FloatArray:
-        """(K, M) 1/s at which the loop gain is 1; NaN: nowhere."""
+        """(K, M) 1/s at which the loop gain is 1; NaN: nowhere.
+
+        The grid at a column changes little with frequency, so that a few evaluations of it suffice.
+        """
         low, high = (np.log(bound * self.speed) + np.zeros_like(self.slack) for bound in _RANGE)
+        grid: ComplexArray = np.einsum("kjj->kj", self.network).astype(np.complex128)
+        log_omega = high
+        for _ in range(_MOST_STEPS):
 
-        def level(log_omega: FloatArray) -> FloatArray:
-            return np.log(np.abs(self.at(np.exp(log_omega))[0]))
+            def level(at: FloatArray, grid: ComplexArray = grid) -> FloatArray:
+                return np.log(np.abs(self.at(np.exp(at), grid)[0]))
 
-        return np.where(level(low) > 0, np.exp(_crossing(level, low, high)), np.nan)
+            crosses, before = level(low) > 0, log_omega
+            log_omega = _crossing(level, low, high)
+            if not (crosses & (np.abs(log_omega - before) > _CROSSES)).any():
+                break
+            grid = self.grid(np.exp(log_omega))
+        return np.where(crosses, np.exp(log_omega), np.nan)
 
     def peaking(self) -> FloatArray:
         """(K, M) largest gain relative to DC: on a grid of frequencies, then by golden sections."""
-        steady = np.abs(self.at(_RANGE[0] * self.speed + np.zeros_like(self.slack))[1])
         omega = self.crossover()
 
         def gain(omega: FloatArray) -> FloatArray:
-            return np.where(np.isfinite(omega), np.abs(self.at(omega)[1]) / steady, 0.0)
+            return np.where(np.isfinite(omega), np.abs(self.at(omega, self.grid(omega))[1]), 0.0)
 
+        steady = gain(_RANGE[0] * self.speed + np.zeros_like(self.slack))
         top = np.argmax([gain(omega * ratio) for ratio in _AROUND], axis=0)
         beside = (_AROUND[np.clip(top + step, 0, len(_AROUND) - 1)] for step in (-1, 1))
         _, peak = _peak(gain, *(omega * ratio for ratio in beside))
-        return np.maximum(peak, 1.0)
+        return np.maximum(peak / steady, 1.0)
