@@ -421,8 +421,7 @@ def to_end(own: Places, spots: Records[Spot], lines: Records[Line], kind: int) -
     """Whether cells of one line reach an end of it, or are more than a stylus covers."""
     line = lines[int(spots[own[0]].line[kind])]
     for i in own:
-        along = spots[i].along[kind]
-        if along == line.first or along == line.last:  # noqa: PLR1714 - Numba knows no sets
+        if spots[i].along[kind] in (line.first, line.last):
             return True
     return own.size > LONGEST_IN_LINE
 

@@ -110,6 +110,13 @@ def lost_along(shared: Blocks, conductance: Rows, i: int, j: int) -> float:
 
 
 @loop
+def usual_conductance(by_law: Rows, estimate: Rows, above: Rows, under_range: FlagRows, i: int, j: int) -> float:
+    """S that cell (i, j) conducts, or conducts at most."""
+    usual: float = above[i, j] if under_range[i, j] else max(min(by_law[i, j], _CORRECTED * estimate[i, j]), 0.0)
+    return usual
+
+
+@loop
 def enclose(
     volts: Rows,
     potential_law: Rows,
@@ -390,10 +397,10 @@ def added_between(
     for i in range(rows):
         others, some, tied = 0.0, False, 0
         for j in range(columns):
-            usual = max(min(by_law[i, j], _CORRECTED * estimate[i, j]), 0.0)
-            usual = 0.0 if limited[i, j] else (above[i, j] if under_range[i, j] else usual)
-            conducting[i, j] = usual
-            others += usual
+            conducting[i, j] = 0.0
+            if not limited[i, j]:
+                conducting[i, j] = usual_conductance(by_law, estimate, above, under_range, i, j)
+            others += conducting[i, j]
             some = some or limited[i, j] or under_range[i, j]
         others = max(others, TINY)
         loose_sum[i], share_sum[i], conducting_sum[i] = 0.0, 0.0, 0.0
@@ -453,9 +460,8 @@ def added_between(
                 added[step, j] += change[step, i] * conducting[i, j] + out[step, i] * loose[i, j]
                 added[step, j] += potential[step, j] * by_row
                 if doubt and linear[i, j] > _UNCLEAR and not limited[i, j]:
-                    usual = max(min(by_law[i, j], _CORRECTED * estimate[i, j]), 0.0)
-                    usual = min(linear[i, j], _MOST) * (above[i, j] if under_range[i, j] else usual)
-                    added[step, j] += (lifted[step, i] + potential[step, j] * share_sum[i]) * usual
+                    unsure = min(linear[i, j], _MOST) * usual_conductance(by_law, estimate, above, under_range, i, j)
+                    added[step, j] += (lifted[step, i] + potential[step, j] * share_sum[i]) * unsure
         for j in range(columns):
             if floating:  # a cell at a limit lets its column's potential out by its row's pull-down
                 added[step, j] += potential[step, j] * leak[j]

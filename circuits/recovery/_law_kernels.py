@@ -395,12 +395,13 @@ def answers(
                 for other in range(columns):
                     if other != j:
                         of_others += r * cell_most[i, other]
-                left = 1.0 - r * above[i, j]
-                most_passed = 1.0 - r * (sums[2, i] - above[i, j]) / left if left > LEAST else 0.0
-                least_passed, most_passed = 1.0, min(1.0 / max(most_passed, LEAST), of_others)
-                least_alone, most_alone = 0.0, 0.0
-                if floating:
-                    others_least, others_most = sums[3, i] - below[i, j], sums[2, i] - above[i, j]
+                others_least, others_most = sums[3, i] - below[i, j], sums[2, i] - above[i, j]
+                if not floating:
+                    left = 1.0 - r * above[i, j]
+                    most_passed = 1.0 - r * others_most / left if left > LEAST else 0.0
+                    least_passed, most_passed = 1.0, min(1.0 / max(most_passed, LEAST), of_others)
+                    least_alone, most_alone = 0.0, 0.0
+                else:
                     least_alone = below[i, j] / max(below[i, j] + others_most, LEAST)
                     most_alone = min(above[i, j] / max(above[i, j] + others_least, LEAST), 1.0)
                     least_passed = (1.0 - most_alone) / max(1.0 - r * sums[3, i], LEAST)

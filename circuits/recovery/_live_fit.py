@@ -124,10 +124,9 @@ class _Linear(NamedTuple):
     def tied(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """(n,) by how much cells tie their lines at ``other`` logarithms than at ``one``: shares, in units of a change.
 
-        A cell G changes the potentials of its lines, which others see by the impedance Z, by a share G Z / (1 + G Z).
+        As :func:`._usual_fits.tied` of each.
         """
-        here, there = (1.0 / (1.0 + np.exp(-log) / self.behind) for log in (one, other))
-        return PER_SHARE * np.abs(here - there)
+        return PER_SHARE * np.abs(_tying_share(one, self.behind) - _tying_share(other, self.behind))
 
 
 class _Corners(NamedTuple):
@@ -645,7 +644,7 @@ class FitLive:
         """
         std = np.sqrt(np.einsum("ij,ij->i", inverse, inverse))
         counted = (self._read > 0.0) & self._present & (BY_STEPS * std < _SINGLY)
-        share = 1.0 / (1.0 + np.exp(-log) / self._behind(self._cells_at(log)))
+        share = _tying_share(log, self._behind(self._cells_at(log)))
         weight = np.where(counted, share * (1.0 - share), 0.0)
         most = weight
         for _ in range(_POWERS):  # to the largest eigenvector of the covariance, so weighted
@@ -746,6 +745,12 @@ class FitLive:
         reason[limited] = SATURATED
         reason[self._gone] = HIDDEN
         return undetermined(self._turn(reason))
+
+
+def _tying_share(log: FloatArray, behind: FloatArray) -> FloatArray:
+    """G Z / (1 + G Z), by which cells change the potentials of their lines, which others see by an impedance in ohm."""
+    share: FloatArray = 1.0 / (1.0 + np.exp(-log) / behind)
+    return share
 
 
 def _factored(jacobian: FloatArray, damping: float = 0.0) -> FloatArray:
