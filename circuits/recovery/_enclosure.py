@@ -557,9 +557,14 @@ class Enclosure:
                 whole = board.shared_by >= columns
                 into_end = into_idle if whole else np.maximum(into_end, into_idle)
         of_cells[INTO_END], of_cells[IN_OWN_STEP] = into_end, in_own_step
-        apart = behind + LEAST_SHORT_OHM
-        pairs[PASSES_ON] = behind[:, None] / (apart[:, None] + apart)  # share of a current that a joined column takes
-        pairs[DRIVEN_APART] = np.abs(source[:, None] - source) / (apart[:, None] + apart)  # A between joined columns
+        # The other one of two joined columns ends as idle columns do, where columns are read one by one.
+        in_turns = one_by_one and not follows
+        idle, idle_source = (board.idle_resistance + law.wire, 0.0 * source) if in_turns else (behind, source)
+        idle = np.minimum(idle, 1.0 / TINY)[:, None]
+        apart, apart_idle = behind + 2.0 * LEAST_SHORT_OHM, idle.T + 2.0 * LEAST_SHORT_OHM
+        into, away = idle / (idle + apart), behind[:, None] / (behind[:, None] + apart_idle)
+        pairs[PASSES_ON] = np.maximum(into, away)  # share of a current that a joined column takes
+        pairs[DRIVEN_APART] = np.abs(idle_source[:, None] - source) / (idle + apart)  # A between joined columns
         most_beside = 1.0 / (law.wire[:, None] + law.wire + 2.0 * LEAST_SHORT_OHM)  # S, from column to column
         pairs[BESIDE] = (hidden.T.astype(np.float64) @ hidden) * most_beside
         pairs[:, np.arange(columns), np.arange(columns)] = 0.0
