@@ -600,8 +600,9 @@ class Watch(Record):
     """1 while the cell is at rest and only watched"""
     offset: float
     """r by drift of the rest resistance, as the cell last slept; never changes under a load"""
-    centre: float
-    """mean reading of a sleeping cell"""
+    left: float
+    """r that is left of earlier loads while the cell sleeps, and the slow branch of it"""
+    left_x3: float
     cusum: float
     """Page's cumulative sum of its departures towards loads, in standard deviations"""
 
@@ -681,7 +682,7 @@ def follow(
 def expects(e: Estimates, watch: Watch, t: Step) -> tuple[float, float]:
     """Mean and variance of the next r of a cell, to first order in the step."""
     if watch.asleep > 0.0:
-        return watch.centre, 0.0
+        return watch.offset + watch.left, 0.0
     mean = spread = 0.0
     for j in range(MODES):
         mean += e.w[j] * e.r[j]
@@ -740,7 +741,7 @@ def step_each(
                 width = high[i] - low[i]
                 variance[i] = t.floor * t.floor + (var[i] + width * width * (1.0 / 12.0)) / (t.gain * t.gain)
                 continue
-            watch.asleep, watch.offset = 0.0, watch.centre - e.r[REST]
+            watch.asleep, e.r[REST], e.x3[REST] = 0.0, watch.left, watch.left_x3
         least, most = low[i] - watch.offset, high[i] - watch.offset
         follow(e, before, watch, c, p, trial[0], t, known[i] > 0.0, least, most, var[i], forget)
         mean = mean_of(e)
@@ -754,7 +755,7 @@ def step_each(
             if watch.odds > 0.0:
                 mean = other
         elif sleeps[i] > 0.0 and forget < 1.0 and known[i] > 0.0 and settled(e, var[i], high[i] - low[i]):
-            watch.asleep, watch.centre, watch.cusum = 1.0, watch.offset + e.r[REST], 0.0
+            watch.asleep, watch.left, watch.left_x3, watch.cusum = 1.0, e.r[REST], e.x3[REST], 0.0
         load[i] = mean
         beyond = max(mean - 1.0, 0.0) * t.extrapolated
         variance[i] = spread + t.floor * t.floor + t.relative * t.relative * mean * mean + beyond * beyond
@@ -762,19 +763,23 @@ def step_each(
 
 @loop
 def settled(e: Estimates, var: float, width: float) -> bool:
-    """Whether a cell is at rest, and remembers nothing that the noise does not hide."""
-    return bool(e.w[REST] > RESTS and e.r[REST] * e.r[REST] < 1e-6 + 0.3 * (var + width * width * (1.0 / 12.0)))
+    """Whether a cell is at rest: for sure, or with no memory that the noise does not hide."""
+    noise = var + width * width * (1.0 / 12.0)
+    return bool(e.w[REST] > SURE or (e.w[REST] > RESTS and e.r[REST] * e.r[REST] < 1e-6 + 0.3 * noise))
 
 
 @loop
 def rests(watch: Watch, t: Step, low: float, high: float, var: float) -> bool:
-    """Whether a sleeping cell goes on sleeping (Page 1954)."""
+    """Whether a sleeping cell goes on sleeping (Page 1954): reads what is left of earlier loads, which fades."""
     std = math.sqrt(var + (high - low) * (high - low) * (1.0 / 12.0))
-    off = (0.5 * (low + high) - watch.centre) / std
+    left = t.by_r[REST] * watch.left + t.by_x3[REST] * watch.left_x3
+    off = (0.5 * (low + high) - watch.offset - left) / std
     watch.cusum = max(watch.cusum + off - 0.5, 0.0)
     sleeps = abs(off) < WAKES and watch.cusum < WAKES
-    if sleeps and t.drift_var > 0.0:  # of readings at rest alone, and where the rest resistance drifts at all
-        watch.centre += (off * std) * min(t.dt_s / DRIFTS_S, 1.0)
+    if sleeps:
+        watch.left, watch.left_x3 = left, watch.left_x3 * t.x3_kept
+        if t.drift_var > 0.0:  # of readings at rest alone, and where the rest resistance drifts at all
+            watch.offset += (off * std) * min(t.dt_s / DRIFTS_S, 1.0)
     return bool(sleeps)
 
 
@@ -784,7 +789,7 @@ HOPELESS = -12.0
 """logarithm of the odds at which no contact is suspected any more"""
 LASTING = 5.0
 """usual times of a bad contact, after which what is read counts as a load"""
-RESTS = 0.5
-"""probability of rest from which a cell may sleep"""
+RESTS, SURE = 0.5, 0.998
+"""probabilities of rest from which a cell sleeps that remembers nothing, or that fades as the model says"""
 WAKES, DRIFTS_S = 4.0, 3.0
-"""standard deviations, and their sum, at which a cell wakes; and s, in which the mean of a sleeping cell follows"""
+"""standard deviations, and their sum, at which a cell wakes; and s, in which the offset of a sleeping cell follows"""

@@ -238,7 +238,9 @@ def take_frames(
             if status[frame, i] & BEGUN:
                 begin(cells[i], work[BEGINNING, i], settings.geq, settings.gu, settings.g3)
                 watch = watches[i]
-                watch.odds = watch.since_s = watch.asleep = watch.offset = watch.centre = watch.cusum = 0.0
+                watch.odds = watch.since_s = watch.asleep = watch.offset = watch.left = watch.left_x3 = watch.cusum = (
+                    0.0
+                )
             shared_std = block[COLUMN_STD, i] * work[SLOPE, i]
             held = block[COLUMN_HALF_STEP, i] * work[SLOPE, i]
             own = math.sqrt(var[i])
