@@ -17,7 +17,7 @@ from ohmskin.cell.estimation import _filter as filters
 from ohmskin.cell.estimation import _modes as modes
 from ohmskin.cell.estimation._columns import RARE, WHITE, share_each
 from ohmskin.common.arrays import FloatArray
-from ohmskin.common.compiled import zeros
+from ohmskin.common.compiled import Records, zeros
 
 CELL = Cell.example()
 FULL_KPA = CELL.full_scale_kpa
@@ -428,6 +428,13 @@ def test_the_density_of_a_reading_is_that_of_the_mixture() -> None:
 # -- columns --
 
 
+def readings_of(r: FloatArray, variance: FloatArray, shared: FloatArray, held: float) -> Records[filters.Reading]:
+    made = zeros(filters.Reading, r.size)
+    made["known"], made["low"], made["high"], made["variance"] = 1.0, r, r, variance
+    made["shared"], made["held"] = shared, held
+    return made
+
+
 def test_a_cell_takes_no_part_in_what_its_column_shares_for_it() -> None:
     """Its own reading changes the corrections of the others, and none of its own; alone in a column it has none."""
     t, cells, watches = steps_of(0.01), zeros(filters.Estimates, 5), zeros(filters.Watch, 5)
@@ -436,11 +443,9 @@ def test_a_cell_takes_no_part_in_what_its_column_shares_for_it() -> None:
     watches["asleep"] = 1.0
 
     def corrected(reading: FloatArray) -> FloatArray:
-        low, high, var = reading.copy(), reading.copy(), np.full(5, 1e-6)
-        shared, held = np.full(5, 4e-3), np.zeros(5)
-        # cells 0, 2, 4 in a column, 1 and 3 in another
-        share_each(cells, watches, t, shared, held, np.ones(5), np.zeros(2), low, high, var, *np.empty((2, 5)))
-        return reading - low
+        readings = readings_of(reading, np.full(5, 1e-6), np.full(5, 4e-3), 0.0)
+        share_each(cells, watches, t, np.zeros(2), readings)  # cells 0, 2, 4 in a column, 1 and 3 in another
+        return reading - readings["low"]
 
     calm, off = corrected(np.zeros(5)), np.zeros(5)
     np.testing.assert_allclose(calm, 0.0, atol=1e-12)
@@ -466,8 +471,9 @@ def test_what_a_column_shares_is_the_posterior_of_the_other_cells(seed: int, out
     total = np.sqrt(noise + shared**2)
     if outlier:
         off[0] = 3.0 * total[0] * random.uniform(1.5, 4.0) * random.choice([-1.0, 1.0])
-    low, high, var = watches["offset"] + off, watches["offset"] + off, noise.copy()
-    share_each(cells, watches, t, shared, np.ones(6), np.ones(6), np.zeros(1), low, high, var, *np.empty((2, 6)))
+    readings = readings_of(watches["offset"] + off, noise, shared, 1.0)
+    share_each(cells, watches, t, np.zeros(1), readings)
+    low, high, var = readings["low"], readings["high"], readings["variance"]
     counted = np.clip(off, -3.0 * total, 3.0 * total)
     averaged = sum((WHITE * (1.0 - WHITE) ** n) ** 2 for n in range(1000))  # variance of the recent mean of white z
     inverse = np.linalg.inv(np.outer(shared, shared) + np.diag(noise))

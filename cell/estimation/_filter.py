@@ -590,6 +590,31 @@ def begin(e: Estimates, r: float, geq: float, gu: float, g3: float) -> None:
     e.w[REST], e.w[1], e.w[2] = rests / (rests + held), 0.8 * held / (rests + held), 0.2 * held / (rests + held)
 
 
+class Reading(Record):
+    """What a frame says of a cell, and what the filter makes of it; scratch of a frame."""
+
+    known: float
+    """1: it was read; 0: not; -1: never"""
+    low: float
+    """the reading lies between these r"""
+    high: float
+    variance: float
+    """of its noise"""
+    slope: float
+    """dr/dG"""
+    shared: float
+    """signed standard deviation of the quantisation that its column shares, and the most of it that lasts"""
+    held: float
+    lasting: float
+    """variance of what else no average lessens"""
+    off: float
+    """scratch of :func:`.share_each`"""
+    spread: float
+    load: float
+    """mean, and its variance"""
+    load_variance: float
+
+
 class Watch(Record):
     """What is known of a cell beside its :class:`Estimates`."""
 
@@ -702,16 +727,11 @@ def step_each(
     pools: Records[Pools],
     trial: Records[Estimates],
     steps: Records[Step],
-    low: Row,
-    high: Row,
-    var: Row,
-    known: Row,
+    readings: Records[Reading],
     sleeps: Row,
     forget: float,
-    load: Row,
-    variance: Row,
 ) -> None:
-    """Take a frame of n cells; writes mean ``load`` (n,) and its ``variance`` (n,).
+    """Take a frame of n cells; writes loads.
 
     Args:
         cells: (n,) estimates; before a bad contact, if it is one, in ``befores``; and the rest of their states.
@@ -721,29 +741,26 @@ def step_each(
         pools: see ``scratch``.
         trial: see ``scratch``.
         steps: (1,) weights of the time step.
-        low: (n,) readings lie between ``low`` and ``high``.
-        high: see ``low``.
-        var: (n,) variance of their noise.
-        known: (n,) 1 where a cell is read, 0 where it is not, -1 where it has never been.
+        readings: (n,)
         sleeps: (n,) 1 where a cell may sleep.
         forget: share of the evidence for modes that is kept.
-        load: written.
-        variance: written.
+
     """
     t, c, p = steps[0], scratch[0], pools[0]
     for i in range(cells.size):
-        if known[i] < 0.0:
+        reading = readings[i]
+        known, width, var = reading.known > 0.0, reading.high - reading.low, reading.variance
+        if reading.known < 0.0:
             continue
         e, before, watch = cells[i], befores[i], watches[i]
         if watch.asleep > 0.0:
-            if known[i] > 0.0 and rests(watch, t, low[i], high[i], var[i]):
-                load[i] = 0.0
-                width = high[i] - low[i]
-                variance[i] = t.floor * t.floor + (var[i] + width * width * (1.0 / 12.0)) / (t.gain * t.gain)
+            if known and rests(watch, t, reading.low, reading.high, var):
+                reading.load = 0.0
+                reading.load_variance = t.floor * t.floor + (var + width * width * (1.0 / 12.0)) / (t.gain * t.gain)
                 continue
             watch.asleep, e.r[REST], e.x3[REST] = 0.0, watch.left, watch.left_x3
-        least, most = low[i] - watch.offset, high[i] - watch.offset
-        follow(e, before, watch, c, p, trial[0], t, known[i] > 0.0, least, most, var[i], forget)
+        low, high = reading.low - watch.offset, reading.high - watch.offset
+        follow(e, before, watch, c, p, trial[0], t, known, low, high, var, forget)
         mean = mean_of(e)
         spread = variance_of(e, mean, t)
         if watch.since_s > 0.0:
@@ -754,11 +771,11 @@ def step_each(
             spread += bad * (variance_of(before, other, t) - spread) + bad * (1.0 - bad) * off * off
             if watch.odds > 0.0:
                 mean = other
-        elif sleeps[i] > 0.0 and forget < 1.0 and known[i] > 0.0 and settled(e, var[i], high[i] - low[i]):
+        elif sleeps[i] > 0.0 and forget < 1.0 and known and settled(e, var, width):
             watch.asleep, watch.left, watch.left_x3, watch.cusum = 1.0, e.r[REST], e.x3[REST], 0.0
-        load[i] = mean
         beyond = max(mean - 1.0, 0.0) * t.extrapolated
-        variance[i] = spread + t.floor * t.floor + t.relative * t.relative * mean * mean + beyond * beyond
+        reading.load = mean
+        reading.load_variance = spread + t.floor * t.floor + t.relative * t.relative * mean * mean + beyond * beyond
 
 
 @loop
