@@ -1,7 +1,8 @@
 """The emulator: frames per second of processor time, contacts to packets, beside the full physics of the same scene.
 
 The full physics steps every cell in every frame, solves every frame exactly and encodes it by itself. The emulator
-steps the cells that are not at rest, solves few frames exactly and works in blocks (:mod:`ohmskin.emulator`).
+steps the cells that are not at rest, reads frames as exactly as the ADC can tell, and works in blocks
+(:mod:`ohmskin.emulator`).
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class Row:
     contacts: int = field(metadata=column("contacts", "{}"))
     """that move over the array"""
     solved_percent: float = field(metadata=column("solved, %", "{:.1f}"))
-    """of the frames, those whose circuit was solved exactly"""
+    """of the frames, those that were read by the exact method"""
     frames_per_second: float = field(metadata=column("emulator", "{:.0f}"))
     full_frames_per_second: float = field(metadata=column("full physics", "{:.0f}"))
     difference_steps: float = field(metadata=column("difference", "{:.3f}"))
@@ -95,7 +96,7 @@ def _measured(scene: Scene) -> Row:
     return Row(
         size=scene.skin.design.array.rows,
         contacts=len(scene.contact),
-        solved_percent=100.0 * sum(method != "interpolation" for method in methods) / len(methods),
+        solved_percent=100.0 * sum(method == "exact" for method in methods) / len(methods),
         frames_per_second=len(recorded) / spent_s,
         full_frames_per_second=len(full_volts) / full_s,
         difference_steps=max(float(np.abs(ours.volts - full).max()) for ours, full in pairs) / adc.step,

@@ -16,7 +16,6 @@ from ._requirement import Conditions, Requirement
 from ._scan import METHODS, BatchResult, ScanResult, scan, scan_batch
 from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements, Sheet
 from ._sensitivity import Sensitivity, sensitivity
-from ._sequence import interpolates, scan_sequence
 from ._shape import Shape
 from ._spread import Spread
 from .ends import ColumnEnd, Event, Reference, RowEnd, Scan
@@ -101,7 +100,6 @@ __all__ = [
     "conditioning",
     "effects",
     "ideal_volts",
-    "interpolates",
     "live_recovery",
     "noise",
     "operating_point",
@@ -111,7 +109,6 @@ __all__ = [
     "scan",
     "scan_batch",
     "scan_population",
-    "scan_sequence",
     "sensitivity",
     "stability",
     "stability_of_boards",

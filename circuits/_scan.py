@@ -19,7 +19,7 @@ from ._exact import read_exactly
 from ._ideal import apparent_resistance
 from .solvers import attenuate
 
-_SMALL = 64  # cells up to which the exact method costs less than two tries: 85 us against 45 us at 8 x 8
+_SMALL = 64  # cells up to which a frame is read exactly, since that takes hardly longer than the two tries
 _TOGETHER = 1 << 13  # cells solved in one go: enough to outweigh the calls, few enough for the processor's cache
 
 METHODS = ("attenuation", "exact")
@@ -183,7 +183,7 @@ def _read(board: Board, cells: FloatArray, demand: _Demand | None) -> _Answers:
         _by_attenuation(board, cells, demand, found)
     pending = np.flatnonzero(found.exact)
     if len(pending):
-        some = cells[pending[0]] if len(pending) == 1 else cells[pending]  # small frames have a solver of their own
+        some = cells[pending]
         outputs, error = read_exactly(board, some)
         volts = board.circuit.in_the_limit(board, some, outputs.volts)
         found.volts[pending], found.saturated[pending] = volts, outputs.saturated

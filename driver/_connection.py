@@ -608,6 +608,7 @@ class Connection:
         """The board has proved that it is the one from before."""
         absence, self._absence = self._absence, None
         assert absence is not None
+        self.port_name = self.handshake.port_name
         self.frames.counters.reconnects += 1
         self.frames.counters.times_s.clear()
         self.frames.set_away(None)
@@ -634,7 +635,7 @@ class Connection:
                 continue
             with self._reading:
                 self._port, self._clock = port, port.now
-                self.port_name = self.handshake.port_name = port.name
+                self.handshake.port_name = port.name
                 self._protocol, self._stopped = self._new_protocol(), False
                 for pending in self._orders:
                     pending.numbers.clear()

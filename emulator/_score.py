@@ -30,6 +30,8 @@ from ..common.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from ..common.config import MOST_SI
 from ..errors import InputError
 
+_LARGEST_PACE = 2.0
+"""ratio of the times that host and board take for the same frames, up to which the board ran in real time"""
 CONTACT_SHARE = 0.1
 """a contact is a patch of cells above this share of full scale"""
 REST_SHARE = 0.01
@@ -139,7 +141,7 @@ class Score:
     location_unit: str
     """mm; or cells, where the pitch is not known"""
     arrival_spread_ms: float
-    """95th percentile of (time at the host - time of the scan), above the fastest frame"""
+    """95th percentile of (time at the host - time of the scan), above the fastest frame; NaN if not in real time"""
     arrival_worst_ms: float
     delay_ms: float
     """by which the recorded pressure follows the truth, both at their frame's number: the estimator's delay"""
@@ -188,8 +190,10 @@ def score(
     at_rest = _errors_at_rest(estimate - expected, valid & (expected <= REST_SHARE * full))
     places = _compare_contacts(np.where(valid, estimate, 0.0), expected, CONTACT_SHARE * full)
     unit = pitch if np.isfinite(pitch) else 1.0
-    late = recording.time[found] - truth.time_s[in_truth]
-    late = 1000.0 * (late - late.min())
+    arrived, scanned = recording.time[found], truth.time_s[in_truth]
+    late = 1000.0 * (arrived - scanned - (arrived - scanned).min())
+    if len(found) > 1 and not 1.0 / _LARGEST_PACE < np.polyfit(scanned, arrived, 1)[0] < _LARGEST_PACE:
+        late[:] = np.nan
     return Score(
         frames=len(in_truth),
         lost_frames=int(in_truth.max() - in_truth.min()) + 1 - len(in_truth),
@@ -334,7 +338,11 @@ def score_text(result: Score) -> str:
         ),
         (
             "arrival",
-            f"95 % within {result.arrival_spread_ms:.3g} ms of the fastest, worst {result.arrival_worst_ms:.3g} ms",
+            _known(
+                result.arrival_worst_ms,
+                f"95 % within {result.arrival_spread_ms:.3g} ms of the fastest, worst {result.arrival_worst_ms:.3g} ms",
+                otherwise="the board did not run in real time",
+            ),
         ),
         (
             "delay of the pressure",

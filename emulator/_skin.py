@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..circuits import Design, adc_codes, interpolates, scan_sequence
+from ..circuits import Design, adc_codes, scan_batch
 from ..common.arrays import CodeArray, FloatArray, IntArray
 from ._scene import Scene
 from ._spread import Spreading
@@ -24,8 +24,8 @@ _BLOCK_VALUES = 1 << 17
 """cells times frames of a block: arrays of this size stay in the processor's cache"""
 _LONGEST_BLOCK = 512
 """frames; longer blocks would not be cheaper"""
-_LONGEST_SOLVED_BLOCK = 8
-"""the same where every frame is solved: a block has nothing to share then, and may take long"""
+_LONGEST_DENSE_BLOCK = 8
+"""the same where each frame takes a dense system of all lines, which frames of a block do not share"""
 _REST_STEPS = 1.0 / 64.0
 """ADC steps at full scale by which a cell may still be off when it is taken to be at rest again"""
 
@@ -189,18 +189,15 @@ class EmulatedSkin:
     def _times(self, first_tick: int) -> IntArray:
         """When the frames of a block are due."""
         times = np.array([self._ticks.at(first_tick + k) for k in range(self._length)])
-        # 1, 3, 5, 9, 17 ... frames: intervals of these halve evenly.
-        self._length = min(self._longest, max(3, 2 * self._length - 1))
+        self._length = min(self._longest, 2 * self._length)
         return times
 
 
 def longest_block(design: Design) -> int:
-    """Frames of the longest block of a design: a power of two and one more, so that intervals halve evenly."""
+    """Frames of the longest block of a design."""
     rows, columns = design.array.shape
-    frames = min(_LONGEST_BLOCK, max(1, _BLOCK_VALUES // (rows * columns)))
-    if not interpolates(design):
-        return min(frames, _LONGEST_SOLVED_BLOCK)
-    return 1 << (frames.bit_length() - 1) | (frames > 1)
+    longest = _LONGEST_DENSE_BLOCK if design.board.linear is None else _LONGEST_BLOCK
+    return min(longest, max(1, _BLOCK_VALUES // (rows * columns)))
 
 
 class ScenePhysics:
@@ -314,7 +311,7 @@ class ScenePhysics:
         methods: tuple[str, ...] = ()
         for first, last in pairwise([0, *changes.tolist(), len(time_s)]):
             now = tuple(k for (k, _), on in zip(events, happening[:, first], strict=True) if on)
-            read = scan_sequence(self._design_during(now), resistance[first:last])
+            read = scan_batch(self._design_during(now), resistance[first:last])
             volts[first:last] = read.volts
             error[first:last] = read.error_bound * np.abs(read.volts).max(axis=(1, 2))
             methods += read.method

@@ -57,7 +57,7 @@ def test_errors_lie_within_bounds_and_methods_are_all_there() -> None:
     for size in (4, 12):
         assert set(METHODS) < {row.method for row in rows if row.size == size}
     certified = [row for row in rows if row.bound is not None]
-    assert len(certified) == 2 * 5
+    assert {(row.size, row.method) for row in certified} >= {(size, method) for size in (4, 12) for method in METHODS}
     for row in certified:
         assert row.full_scale_error is not None
         assert row.full_scale_error <= row.bound + 5e-16

@@ -246,6 +246,9 @@ def test_arrival_is_counted_from_the_fastest_frame() -> None:
     arrived = truth().time_s + 5.0
     arrived[50] += 0.08
     assert score(recording(time=arrived), truth()).arrival_worst_ms == pytest.approx(80.0)
+    fast = score(recording(time=arrived / 20.0), truth())
+    assert np.isnan(fast.arrival_worst_ms)
+    assert "did not run in real time" in score_text(fast)
 
 
 def test_what_does_not_belong_together_is_refused() -> None:

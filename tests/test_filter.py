@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,12 +17,13 @@ from ohmskin.cell.estimation import _filter as filters
 from ohmskin.cell.estimation import _modes as modes
 from ohmskin.cell.estimation._columns import RARE, WHITE, share_each
 from ohmskin.common.arrays import FloatArray
-from ohmskin.common.compiled import zeros
+from ohmskin.common.compiled import Records, zeros
 
 CELL = Cell.example()
 FULL_KPA = CELL.full_scale_kpa
 assert isinstance(CELL.model, PaperModel)
 MATERIAL = Material.of(CELL.model, FULL_KPA)
+TUNING = modes.TUNING
 MOMENTS = ("s", "r", "v"), (("ss", "sr", "sv"), ("sr", "rr", "rv"), ("sv", "rv", "vv"))
 
 
@@ -62,16 +65,17 @@ def drawn(seed: int) -> tuple[FloatArray, FloatArray]:
 def test_each_phase_steps_as_the_cell_does(dt_s: float, seed: int) -> None:
     """From the states of a cell that rises, or falls, to its next r and x3, exactly."""
     random, t, g3, t3 = np.random.default_rng(seed), step_of(dt_s), MATERIAL.g3, MATERIAL.t3_s
-    for phase, way in ((modes.UP, np.cumsum(random.uniform(0.0, 0.2, 12))), (modes.DOWN, None)):
+    for mode, way in ((modes.HOLD_UP, np.cumsum(random.uniform(0.0, 0.2, 12))), (modes.HOLD_DOWN, None)):
         load = way if way is not None else np.r_[0.9, 0.9 - np.cumsum(random.uniform(1e-3, 0.08, 11))]
         r = CELL.forward(()).run(np.full(12, dt_s), load * FULL_KPA) / CELL.rest_resistance_ohm - 1.0
         x3 = 0.0
         for n in range(12):
             before, change = (load[n - 1], load[n] - load[n - 1]) if n else (0.0, load[0])
             if n > 1:
-                by = t.by_s[phase] * before + t.by_r[phase] * r[n - 1] + t.by_x3[phase] * x3
-                assert by + t.by_move[phase] * change == pytest.approx(r[n], abs=1e-9)
-            after = t.x3_kept * x3 + t.x3_by_s * before + t.x3_by_move * change
+                by = t.by_s[mode] * before + t.by_r[mode] * r[n - 1] + t.by_x3[mode] * x3
+                assert by + t.by_move[mode] * change == pytest.approx(r[n], abs=1e-9)
+            ways = t.x3_by_v[modes.LINE_UP] / t.way_s[modes.LINE_UP]
+            after = t.x3_kept * x3 + t.x3_by_s[mode] * before + ways * change
             slow = np.exp(-dt_s / t3)
             assert after == pytest.approx(
                 slow * x3 + g3 * (before * (1 - slow) + change * (1 - (1 - slow) * t3 / dt_s)), abs=1e-9
@@ -85,25 +89,28 @@ def test_a_prediction_is_the_linear_step_of_its_phase(seed: int, mode: int) -> N
     random, t = np.random.default_rng(seed), step_of(0.02)
     mean, covariance = drawn(seed)
     x3 = random.uniform(0.0, 0.05)
-    c = zeros(filters.Candidates, 1)[0]
-    written(c, 0, mean, covariance)
-    c.x3[0] = x3
-    filters.predict(c, 0, mode, t)
-    phase, way = modes.PHASES[mode], t.way_s[mode]
-    of_load = np.array([-1.0, 0.0, 0.0]) if mode == modes.REST else np.array([0.0, 0.0, way])  # change of the load
-    kept = 0.0 if mode == modes.REST else t.kept[mode]
+    c, places = zeros(filters.Candidates, 1)[0], (mode, modes.MODES + mode)
+    for place in places:
+        written(c, place, mean, covariance)
+        c.x3[place] = x3
+    filters.predict(c, t)
+    # Of the change of the load; at rest what was left of it goes within the step.
+    of_load = np.array([-1.0, 0.0, 0.0]) if mode == modes.REST else np.array([0.0, 0.0, t.way_s[mode]])
+    phase = modes.HOLD_UP if modes.PHASES[mode] == modes.UP else modes.HOLD_DOWN
     by = np.array([t.by_s[phase], t.by_r[phase], 0.0]) + t.by_move[phase] * of_load
-    matrix = np.stack([np.array([1.0, 0.0, 0.0]) + of_load, by, [0.0, 0.0, kept]])
-    found, left = gaussian(c, 0)
-    np.testing.assert_allclose(found, matrix @ mean + [0.0, t.by_x3[phase] * x3, 0.0], atol=1e-12)
-    assert c.x3[0] == pytest.approx(t.x3_kept * x3 + t.x3_by_s * mean[0] + t.x3_by_move * (of_load @ mean))
+    matrix = np.stack([np.array([1.0, 0.0, 0.0]) + of_load, by, [0.0, 0.0, t.kept[mode]]])
     noise = np.array([1.0, t.by_move[phase], 0.0])
-    expected = matrix @ covariance @ matrix.T + t.way_var[mode] * np.outer(noise, noise)
-    expected[1, 1] += t.drift_var
-    expected[2, 2] += t.speed_var[mode]
-    expected[:2, 2] += t.way_speed[mode] * noise[:2]
+    expected = matrix @ covariance @ matrix.T + t.noise_ss[mode] * np.outer(noise, noise)
+    expected[1, 1] += TUNING.drift**2 * 0.02
+    expected[2, 2] += t.noise_vv[mode]
+    expected[:2, 2] += t.noise_sv[mode] * noise[:2]
     expected[2, :2] = expected[:2, 2]
-    np.testing.assert_allclose(left, expected, atol=1e-12)
+    slow = t.x3_by_v[modes.LINE_UP] / t.way_s[modes.LINE_UP]
+    for place in places:
+        found, left = gaussian(c, place)
+        np.testing.assert_allclose(found, matrix @ mean + [0.0, t.by_x3[phase] * x3, 0.0], atol=1e-12)
+        assert c.x3[place] == pytest.approx(t.x3_kept * x3 + t.x3_by_s[phase] * mean[0] + slow * (of_load @ mean))
+        np.testing.assert_allclose(left, expected, atol=1e-12)
 
 
 @given(st.floats(2e-3, 0.2), st.floats(0.05, 1.0), st.floats(0.0, 0.03))
@@ -112,7 +119,7 @@ def test_what_was_left_of_a_load_goes_within_the_step_that_comes_to_rest(dt_s: f
     m, t, c, steps = MATERIAL, step_of(dt_s), zeros(filters.Candidates, 1)[0], 4000
     r = x3 + m.g1 * load + 0.1
     c.s[modes.REST], c.r[modes.REST], c.x3[modes.REST] = load, r, x3
-    filters.predict(c, modes.REST, modes.REST, t)
+    filters.predict(c, t)
     for n in range(steps):  # midpoints, of equation (8)
         s = load * (1.0 - (n + 0.5) / steps)
         x2 = r - m.g1 * load * (1.0 - n / steps) - x3
@@ -131,9 +138,9 @@ def test_modes_follow_a_markov_chain_in_time(dt_s: float) -> None:
     for after in (t.after_down, t.after_up, t.after_rest, t.after_shake):
         assert after.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(1.0 - twice.leaves, (1.0 - t.leaves) ** 2)
-    np.testing.assert_allclose(twice.kept, t.kept**2, atol=1e-12)
-    slow = t.kept > 0.0
-    np.testing.assert_allclose(twice.speed_var[slow], (t.speed_var * (1.0 + t.kept**2))[slow], rtol=1e-6)
+    slow = (t.kept > 0.0) & (t.kept < 1.0)
+    np.testing.assert_allclose(twice.kept[slow], t.kept[slow] ** 2, atol=1e-12)
+    np.testing.assert_allclose(twice.noise_vv[slow], (t.noise_vv * (1.0 + t.kept**2))[slow], rtol=1e-6)
     assert t.usual.sum() == pytest.approx(1.0)
     assert (t.usual > 0.0).all()
 
@@ -142,13 +149,15 @@ def test_modes_follow_a_markov_chain_in_time(dt_s: float) -> None:
 def test_a_way_that_a_turn_hides_raises_r_whichever_way_it_goes(falls: bool) -> None:
     """The cell answers rises by more than falls, so that the mean way before the turn adds to r, with a variance."""
     t, p, c = step_of(0.01), zeros(filters.Pools, 1)[0], zeros(filters.Candidates, 1)[0]
-    p.w[0], p.s[0], p.r[0], p.v[0] = 1.0, 0.5, 0.4, -2.0 if falls else 2.0
-    filters.comes(c, 0, 1.0, p, 0, True, False, 0.0, t)
-    assert c.r[0] == pytest.approx(0.4 + t.unseen * t.bend * 0.01 * 2.0)
-    assert c.rr[0] == pytest.approx((t.unseen_std * t.bend * 0.01 * 2.0) ** 2)
+    k, on, back = filters.AFTER_DOWN if falls else filters.AFTER_UP, modes.LINE_UP, modes.LINE_DOWN
+    on, back = (back, on) if falls else (on, back)
+    p.s[k], p.r[k], p.v[k] = 0.5, 0.4, -2.0 if falls else 2.0
+    (c.from_down if falls else c.from_up)[[on, back]] = 1.0
+    filters.comes(c, p, t)
     assert t.bend == pytest.approx(MATERIAL.gu - MATERIAL.g1)
-    filters.comes(c, 1, 1.0, p, 0, False, False, 0.0, t)
-    assert c.r[1] == 0.4
+    assert c.r[modes.MODES + back] == pytest.approx(0.4 + t.unseen * t.bend * 0.01 * 2.0)
+    assert c.rr[modes.MODES + back] == pytest.approx((t.unseen_std * t.bend * 0.01 * 2.0) ** 2)
+    assert c.r[modes.MODES + on] == 0.4
 
 
 @given(st.floats(0.0, 0.9), st.floats(0.005, 0.3), st.floats(-3.0, 0.0))
@@ -179,31 +188,32 @@ def test_what_comes_to_a_mode_keeps_the_moments_of_the_mixture(seed: int, share:
     """Of two pools, each of two modes; a way that a turn hides is unknown, as is the speed that it was gone with."""
     e, p, c = zeros(filters.Estimates, 1)[0], zeros(filters.Pools, 1)[0], zeros(filters.Candidates, 1)[0]
     random, t = np.random.default_rng(seed), step_of(0.05)
-    weights, slow = np.array([1.0 - share, share]), random.uniform(0.0, 0.1, 4)
-    means, covariances, x3 = [], [], []
-    for k in range(2):
+    weights, slow, x3 = np.array([1.0 - share, share]), random.uniform(0.0, 0.1, 4), []
+    means, covariances, place = [], [], modes.LINE_UP if turns else modes.LINE_DOWN
+    for k, rows in enumerate((c.from_down, c.from_rest)):
         parts = [drawn(seed + 2 * k), drawn(seed + 2 * k + 1)]
-        for j, part in enumerate(parts):
-            written(e, 2 * k + j, *part)
-            e.x3[2 * k + j] = slow[2 * k + j]
-            filters.pool(p, k, 0.5, e, 2 * k + j)
+        for j, part in zip((modes.LINE_DOWN, modes.MOVE_DOWN), parts, strict=True):
+            written(e, j, *part)
+            e.w[j], e.x3[j] = 0.5 / t.leaves[j], slow[2 * k + (j == modes.MOVE_DOWN)]
+        filters.pool(p, 2 * k, e, modes.LINE_DOWN, modes.MOVE_DOWN + 1, t)
         x3.append(slow[2 * k : 2 * k + 2].mean())
         mean = np.mean([m for m, _ in parts], axis=0)
         covariance = np.mean([cov + np.outer(m - mean, m - mean) for m, cov in parts], axis=0)
-        if turns:
+        if turns and k == filters.AFTER_DOWN:
             gain = (MATERIAL.gu - MATERIAL.g1) * 0.05
             covariance[1, 1] += (gain * t.unseen_std) ** 2 * (covariance[2, 2] + mean[2] ** 2)
             mean[1] += gain * t.unseen * abs(mean[2])
         means.append(mean[:2])
         covariances.append(covariance[:2, :2])
-        filters.comes(c, 0, weights[k], p, k, turns, False, 0.0, t)
+        rows[place] = weights[k]
+    filters.comes(c, p, t)
     mean = weights @ np.array(means)
     parted = zip(weights, means, covariances, strict=True)
     expected = sum(w * (cov + np.outer(m - mean, m - mean)) for w, m, cov in parted)
-    found, left = gaussian(c, 0)
+    found, left = gaussian(c, modes.MODES + place)
     np.testing.assert_allclose(found[:2], mean)
     np.testing.assert_allclose(left[:2, :2], expected, atol=1e-12)
-    assert c.x3[0] == pytest.approx(weights @ x3)
+    assert c.x3[modes.MODES + place] == pytest.approx(weights @ x3)
 
 
 @given(st.sampled_from([(modes.LINE_UP, modes.LINE_DOWN), (modes.LINE_DOWN, modes.LINE_UP)]), st.floats(0.1, 3.0))
@@ -229,60 +239,69 @@ def test_a_load_that_shakes_within_a_step_raises_r_as_the_cell_does(load: float,
         run = CELL.forward(()).run(times, np.r_[load, after] * FULL_KPA)
         r.append(run[-1] / CELL.rest_resistance_ohm)
     c = zeros(filters.Candidates, 1)[0]
-    c.s[:2], c.v[1] = load, speed
-    for n in range(2):
-        filters.predict(c, n, modes.SHAKE, t)
-    assert c.r[1] - c.r[0] == pytest.approx(r[0] - r[1], rel=0.02)
+    still, moved = modes.SHAKE, modes.MODES + modes.SHAKE
+    c.s[[still, moved]], c.v[moved] = load, speed
+    filters.predict(c, t)
+    assert c.r[moved] - c.r[still] == pytest.approx(r[0] - r[1], rel=0.02)
 
 
 # -- Bayes' rule --
 
+PLACE = modes.HOLD_UP
+
+
+def conditioned(
+    take: Callable[..., None], mean: FloatArray, covariance: FloatArray, ends: tuple[float, float], var: float
+) -> tuple[FloatArray, FloatArray, float]:
+    """Moments after a reading between ``ends`` with noise ``var``, and the logarithm of its density."""
+    c = zeros(filters.Candidates, 1)[0]
+    written(c, PLACE, mean, covariance)
+    c.likelihood[PLACE] = 1.0
+    take(c, *ends, var, step_of(0.01))
+    return *gaussian(c, PLACE), np.log(c.likelihood[PLACE]) - c.distance[PLACE]
+
 
 @given(st.integers(0, 2**32 - 1), st.floats(1e-4, 0.05), st.floats(-0.2, 0.2))
-def test_a_narrow_reading_is_a_kalman_update(seed: int, std: float, off: float) -> None:
+@pytest.mark.parametrize("take", [filters.take_exact, filters.take_interval])
+def test_a_narrow_reading_is_a_kalman_update(take: Callable[..., None], seed: int, std: float, off: float) -> None:
     mean, covariance = drawn(seed)
-    c = zeros(filters.Candidates, 1)[0]
-    written(c, 0, mean, covariance)
     var, at = covariance[1, 1] + std**2, mean[1] + off
-    filters.within(c, 0, var, at, at)
+    found, left, density = conditioned(take, mean, covariance, (at, at), std**2)
     gain = covariance[:, 1] / var
-    found, left = gaussian(c, 0)
     np.testing.assert_allclose(found, mean + gain * off, atol=1e-12)
     np.testing.assert_allclose(left, covariance - np.outer(gain, covariance[1]), atol=1e-12)
-    factor, distance = filters.judge(mean[1], var, at, at)
-    assert factor * np.exp(-distance) == pytest.approx(norm.pdf(off, scale=var**0.5))
+    assert density == pytest.approx(norm.logpdf(off, scale=var**0.5))
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(-2.5, 1.5), st.floats(1.0, 1e6))
 def test_an_interval_is_what_lies_within_it(seed: int, low: float, width: float) -> None:
     """Mean, variance and probability of a normal reading that is cut at both ends."""
     mean, covariance = drawn(seed)
-    c = zeros(filters.Candidates, 1)[0]
-    written(c, 0, mean, covariance)
-    var = covariance[1, 1]
-    std = var**0.5
+    std = covariance[1, 1] ** 0.5
     ends = mean[1] + std * low, mean[1] + std * (low + width)
-    filters.within(c, 0, var, *ends)
+    found, left, density = conditioned(filters.take_interval, mean, covariance, ends, 0.0)
     cut = truncnorm(low, low + width, loc=mean[1], scale=std)
-    found, left = gaussian(c, 0)
     assert found[1] == pytest.approx(cut.mean(), abs=1e-6)
     assert left[1, 1] == pytest.approx(cut.var(), rel=1e-4, abs=1e-9)
-    factor, distance = filters.judge(mean[1], var, *ends)
     inside = norm.cdf(low + width) - norm.cdf(low)
-    assert factor * np.exp(-distance) == pytest.approx(inside / min(ends[1] - ends[0], 1.0), rel=1e-6)
+    assert np.exp(density) == pytest.approx(inside / min(ends[1] - ends[0], 1.0), rel=1e-6)
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1.0, -1.0]), st.floats(-3.0, 3.0), st.booleans())
 def test_a_bound_truncates_and_takes_the_others_along(seed: int, side: float, z: float, of_speed: bool) -> None:
+    """No load, or a speed against the sign of its mode."""
     mean, covariance = drawn(seed)
     c, k = zeros(filters.Candidates, 1)[0], 2 if of_speed else 0
-    written(c, 0, mean, covariance)
+    place = modes.LINE_UP if side > 0.0 or not of_speed else modes.LINE_DOWN
+    side = side if of_speed else 1.0
     std = covariance[k, k] ** 0.5
-    at = mean[k] - side * z * std
-    share = filters.bound(c, 0, of_speed, at, side, 0.0)
+    mean[k] = side * z * std
+    written(c, place, mean, covariance)
+    c.likelihood[place] = 1.0
+    (filters.bound_speed if of_speed else filters.bound_load)(c, step_of(0.01))
     cut = truncnorm(*((-z, np.inf) if side > 0 else (-np.inf, z)), loc=mean[k], scale=std)
-    found, left = gaussian(c, 0)
-    assert share == pytest.approx(norm.cdf(z), rel=3e-9)
+    found, left = gaussian(c, place)
+    assert c.likelihood[place] == pytest.approx(norm.cdf(z), rel=3e-9)
     assert found[k] == pytest.approx(cut.mean(), abs=1e-6 + 0.01 * std)
     assert left[k, k] == pytest.approx(max(cut.var(), 0.02 * std**2), rel=1e-3)
     assert np.linalg.eigvalsh(left).min() > -1e-12
@@ -291,34 +310,61 @@ def test_a_bound_truncates_and_takes_the_others_along(seed: int, side: float, z:
     np.testing.assert_allclose(shift, along, atol=1e-9)
 
 
-@given(st.integers(0, 2**32 - 1), st.floats(-4.0, 3.0), st.floats(1e-4, 0.5))
-def test_loads_beyond_a_soft_bound_are_rare(seed: int, z: float, rare: float) -> None:
-    """Weight, mean and variance of a normal load whose density is ``rare`` times as much beyond the bound."""
+@given(st.sampled_from([filters.bound_speed, filters.bound_load]), st.integers(0, 2**32 - 1), st.floats(9.0, 100.0))
+def test_what_is_beyond_a_bound_for_sure_comes_to_lie_on_it(bound: Callable[..., None], seed: int, z: float) -> None:
+    """Along the regression of the others; and the bound has no say in a mode that does not know it."""
     mean, covariance = drawn(seed)
+    k = 2 if bound is filters.bound_speed else 0
+    mean[k] = -z * covariance[k, k] ** 0.5
+    free = modes.HOLD_UP if k else modes.REST
     c = zeros(filters.Candidates, 1)[0]
-    written(c, 0, mean, covariance)
-    std = covariance[0, 0] ** 0.5
-    at = mean[0] + z * std
-    left = filters.bound(c, 0, False, at, -1.0, rare)
-    x = mean[0] + std * np.linspace(-9.0, 9.0, 200_001)
-    density = norm.pdf(x, mean[0], std) * np.where(x < at, 1.0, rare)
+    for place in (modes.LINE_UP, free):
+        written(c, place, mean, covariance)
+    bound(c, step_of(0.01))
+    found, left = gaussian(c, modes.LINE_UP)
+    np.testing.assert_allclose(found, mean - covariance[k] * mean[k] / covariance[k, k], atol=1e-9)
+    assert found[k] == left[k, k] == 0.0
+    np.testing.assert_array_equal(gaussian(c, free)[0], mean)
+
+
+@given(st.floats(-4.0, 3.0), st.floats(1e-4, 0.5))
+def test_loads_beyond_a_soft_bound_are_rare(z: float, rare: float) -> None:
+    """Weight, mean and variance of a normal load whose density is ``rare`` times as much beyond the bound."""
+    inside, shift, less = filters.truncated(z, rare)
+    x = np.linspace(-9.0, 9.0, 200_001)
+    density = norm.pdf(x) * np.where(x > -z, 1.0, rare)
     weight = np.trapezoid(density, x)
     expected = np.trapezoid(x * density, x) / weight
-    found, moments = gaussian(c, 0)
-    assert left == pytest.approx(weight, rel=1e-3)
-    assert found[0] == pytest.approx(expected, abs=2e-3 * std)
-    assert moments[0, 0] == pytest.approx(
-        max(np.trapezoid((x - expected) ** 2 * density, x) / weight, 0.02 * std**2), rel=0.01
-    )
+    assert inside == pytest.approx(weight, rel=1e-3)
+    assert shift == pytest.approx(expected, abs=2e-3)
+    assert 1.0 - less == pytest.approx(max(np.trapezoid((x - expected) ** 2 * density, x) / weight, 0.02), rel=0.01)
+
+
+@given(st.floats(-700.0, 0.0))
+def test_the_exponential_of_candidates_is_one(x: float) -> None:
+    assert filters.decay(x) == pytest.approx(np.exp(x), rel=1e-12 if x > -40.0 else 1e-2)
+
+
+@given(st.floats(-3.0, 3.0), st.floats(0.02, 0.5))
+def test_a_bound_counts_once_however_often_it_is_felt(z: float, load: float) -> None:
+    """What is expected within the bounds is all that there is: without a reading the likelihood is one."""
+    t, c = step_of(0.01), zeros(filters.Candidates, 1)[0]
+    written(c, modes.LINE_UP, np.array([load, 0.4, 0.1 * z]), np.diag([0.01, 1e-3, 0.01]))
+    filters.expect(c, t)
+    filters.bound_speed(c, t)
+    filters.bound_load(c, t)
+    filters.bound_overload(c, t)
+    assert c.likelihood[modes.LINE_UP] == pytest.approx(1.0)
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.99))
 def test_pools_keep_the_moments_of_the_mixture(seed: int, share: float) -> None:
     e, p = zeros(filters.Estimates, 1)[0], zeros(filters.Pools, 1)[0]
-    parts = [drawn(seed), drawn(seed + 1)]
-    for j, part in enumerate(parts):
+    parts, t = [drawn(seed), drawn(seed + 1)], step_of(0.01)
+    for j, w, part in zip((modes.HOLD_UP, modes.LINE_UP), (1.0 - share, share), parts, strict=True):
         written(e, j, *part)
-        filters.pool(p, 0, share if j else 1.0 - share, e, j)
+        e.w[j] = w / t.leaves[j]
+    filters.pool(p, 0, e, modes.HOLD_UP, modes.LINE_UP + 1, t)
     mean = (1.0 - share) * parts[0][0] + share * parts[1][0]
     second = sum(
         w * (cov + np.outer(m, m)) for w, (m, cov) in zip((1.0 - share, share), parts, strict=True)
@@ -352,23 +398,21 @@ def test_an_interval_far_away_is_judged_by_its_near_end(off: float, side: float)
     """Within the quarter by which a normal tail is known from its density alone."""
     width = 3.0
     ends = sorted((side * off, side * (off + width)))
-    factor, distance = filters.judge(0.0, 1.0, *ends)
+    *_, density = conditioned(filters.take_interval, np.zeros(3), np.diag([1e-4, 1e-6, 1e-4]), ends, 1.0)
     expected = norm.logsf(off) + np.log1p(-np.exp(norm.logsf(off + width) - norm.logsf(off))) - np.log(width)
-    assert np.log(factor) - distance == pytest.approx(expected, abs=0.25)
+    assert density == pytest.approx(expected, abs=0.25)
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(5.01, 30.0), st.floats(1.0, 1e3), st.sampled_from([1.0, -1.0]))
 def test_an_interval_far_away_moves_an_estimate_to_its_near_end(seed: int, z: float, width: float, side: float) -> None:
     """The moments of a normal tail: a fifth of a deviation beyond the end at most, and next to no variance."""
     mean, covariance = drawn(seed)
-    c = zeros(filters.Candidates, 1)[0]
-    written(c, 0, mean, covariance)
     std = covariance[1, 1] ** 0.5
     low, high = sorted((mean[1] + side * z * std, mean[1] + side * (z + width) * std))
-    filters.within(c, 0, covariance[1, 1], low, high)
+    found, left, _ = conditioned(filters.take_interval, mean, covariance, (low, high), 0.0)
     cut = truncnorm(z, z + width)
-    assert side * (c.r[0] - mean[1]) / std == pytest.approx(cut.mean(), abs=0.2)
-    assert 0.0 < c.rr[0] / std**2 < 0.05
+    assert side * (found[1] - mean[1]) / std == pytest.approx(cut.mean(), abs=0.2)
+    assert 0.0 < left[1, 1] / std**2 < 0.05
 
 
 def test_the_density_of_a_reading_is_that_of_the_mixture() -> None:
@@ -384,6 +428,13 @@ def test_the_density_of_a_reading_is_that_of_the_mixture() -> None:
 # -- columns --
 
 
+def readings_of(r: FloatArray, variance: FloatArray, shared: FloatArray, held: float) -> Records[filters.Reading]:
+    made = zeros(filters.Reading, r.size)
+    made["known"], made["low"], made["high"], made["variance"] = 1.0, r, r, variance
+    made["shared"], made["held"] = shared, held
+    return made
+
+
 def test_a_cell_takes_no_part_in_what_its_column_shares_for_it() -> None:
     """Its own reading changes the corrections of the others, and none of its own; alone in a column it has none."""
     t, cells, watches = steps_of(0.01), zeros(filters.Estimates, 5), zeros(filters.Watch, 5)
@@ -392,11 +443,9 @@ def test_a_cell_takes_no_part_in_what_its_column_shares_for_it() -> None:
     watches["asleep"] = 1.0
 
     def corrected(reading: FloatArray) -> FloatArray:
-        low, high, var = reading.copy(), reading.copy(), np.full(5, 1e-6)
-        shared, held = np.full(5, 4e-3), np.zeros(5)
-        # cells 0, 2, 4 in a column, 1 and 3 in another
-        share_each(cells, watches, t, shared, held, np.ones(5), np.zeros(2), low, high, var, *np.empty((2, 5)))
-        return reading - low
+        readings = readings_of(reading, np.full(5, 1e-6), np.full(5, 4e-3), 0.0)
+        share_each(cells, watches, t, np.zeros(2), readings)  # cells 0, 2, 4 in a column, 1 and 3 in another
+        return reading - readings["low"]
 
     calm, off = corrected(np.zeros(5)), np.zeros(5)
     np.testing.assert_allclose(calm, 0.0, atol=1e-12)
@@ -416,26 +465,27 @@ def test_what_a_column_shares_is_the_posterior_of_the_other_cells(seed: int, out
     """Its mean and variance by the joint normal law of the column; a reading counts up to 3 deviations (Huber)."""
     random, t = np.random.default_rng(seed), steps_of(0.01)
     cells, watches = zeros(filters.Estimates, 6), zeros(filters.Watch, 6)
-    watches["asleep"], watches["centre"] = 1.0, random.normal(0.0, 0.1, 6)
+    watches["asleep"], watches["offset"] = 1.0, random.normal(0.0, 0.1, 6)
     shared, noise = random.choice([-1.0, 1.0], 6) * random.uniform(1e-3, 4e-3, 6), random.uniform(1e-6, 1e-5, 6)
     off = 0.5 * random.uniform(-1.0, 1.0, 6) * np.sqrt(noise)
     total = np.sqrt(noise + shared**2)
     if outlier:
         off[0] = 3.0 * total[0] * random.uniform(1.5, 4.0) * random.choice([-1.0, 1.0])
-    low, high, var = watches["centre"] + off, watches["centre"] + off, noise.copy()
-    share_each(cells, watches, t, shared, np.ones(6), np.ones(6), np.zeros(1), low, high, var, *np.empty((2, 6)))
+    readings = readings_of(watches["offset"] + off, noise, shared, 1.0)
+    share_each(cells, watches, t, np.zeros(1), readings)
+    low, high, var = readings["low"], readings["high"], readings["variance"]
     counted = np.clip(off, -3.0 * total, 3.0 * total)
     averaged = sum((WHITE * (1.0 - WHITE) ** n) ** 2 for n in range(1000))  # variance of the recent mean of white z
     inverse = np.linalg.inv(np.outer(shared, shared) + np.diag(noise))
     if abs(shared @ inverse @ counted) > RARE:  # a load on the whole column
-        np.testing.assert_allclose(low, watches["centre"] + off)
+        np.testing.assert_allclose(low, watches["offset"] + off)
         np.testing.assert_allclose(var, noise + shared**2)
         return
     for i in range(6):
         others = np.arange(6) != i
         joint = np.outer(shared[others], shared[others]) + np.diag(noise[others])
         gain = np.linalg.solve(joint, shared[others])
-        expected = watches["centre"][i] + off[i] - shared[i] * (gain @ counted[others])
+        expected = watches["offset"][i] + off[i] - shared[i] * (gain @ counted[others])
         assert low[i] == high[i] == pytest.approx(expected, abs=1e-12)
         left = 1.0 - gain @ shared[others]
         assert var[i] == pytest.approx(noise[i] + shared[i] ** 2 * (left + averaged))
@@ -514,6 +564,26 @@ def test_a_held_load_does_not_fade(cell: Cell) -> None:
     assert np.abs(error[100:]).max() < 0.02
     assert (np.abs(error) <= 2.0 * std)[100:].mean() > 0.97
     assert np.median(std) < 0.02
+
+
+@pytest.mark.parametrize("again", [0.04, 0.3])
+def test_a_cell_at_rest_sleeps_while_it_still_remembers_and_wakes_under_a_touch(again: float) -> None:
+    """What is left of the load fades as the model says: it is neither shown as a load, nor does it hide one."""
+    dt_s, time = 0.01, 0.01 * np.arange(1000)
+    touched = time >= 8.0
+    load = np.interp(time, [1, 1.2, 3, 3.2, 8, 8.05], [0, 0.7, 0.7, 0, 0, again])[:, None]
+    ohm = CELL.forward((1,)).run(np.full(time.size, dt_s), load * FULL_KPA)
+    noise = 5e-5
+    noisy = ohm * (1.0 + noise * np.random.default_rng(0).standard_normal(ohm.shape))
+    estimator, found, asleep = CELL.estimator((1,)), np.empty_like(load), np.empty(time.size, bool)
+    for n, frame in enumerate(noisy):
+        found[n], asleep[n] = estimator.step(dt_s, frame), estimator._watches["asleep"][0] > 0.0
+    remembered = ohm[:, 0] / CELL.rest_resistance_ohm - 1.0
+    late = (time > 5.0) & ~touched
+    assert asleep[late].mean() > 0.8
+    assert (remembered[late & asleep] > 10.0 * noise).any()
+    assert (found[asleep] == 0.0).all()
+    assert np.abs(found / FULL_KPA - load)[time > 8.15].max() < 0.02
 
 
 def test_a_gap_widens_the_deviation_until_readings_come_back() -> None:

@@ -43,6 +43,9 @@ FOUND = {
     "segments as heavy as the cells": ["feedback:30000022"],
     "an open line says nothing of usual cells": ["row:440000149", "row:440000167", "row:430000086"],
     "floating rows that join columns": [f"multiplexed:410000{number}" for number in (219, 239, 263, 286)],
+    "an idle column stands elsewhere than the one that is read": ["multiplexed:430000163"],
+    "saturated cells of one column beside each other": ["inverting:900037", "inverting:900078"],
+    "shorts in the only row": ["feedback:440000146"],
 }
 
 

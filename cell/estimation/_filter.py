@@ -23,7 +23,6 @@ from typing import Annotated
 from ...common.arrays import FloatArray
 from ...common.compiled import Record, Records, Row, loop
 from ._modes import (
-    CREEP_DOWN,
     DOWN,
     EACH,
     HOLD_DOWN,
@@ -31,11 +30,10 @@ from ._modes import (
     MODES,
     REST,
     SHAKE,
+    TWICE,
     UP,
     Step,
 )
-
-TWICE = Annotated[FloatArray, 2 * MODES]
 
 
 class Estimates(Record):
@@ -69,8 +67,12 @@ class Candidates(Record):
     rv: TWICE
     vv: TWICE
     likelihood: TWICE
-    reading_var: TWICE
     distance: TWICE
+    from_down: EACH
+    """weights of what comes to each mode from the pools"""
+    from_up: EACH
+    from_rest: EACH
+    from_shake: EACH
 
 
 FOUR = Annotated[FloatArray, 4]
@@ -101,15 +103,40 @@ NEGLIGIBLE = 1e-9
 DEEP = 8.0
 FAR = 4.0
 """standard deviations from a bound at which the bound is not felt"""
+NARROW = 0.7
+"""width of an interval over the standard deviation, up to which it counts as part of the noise"""
 OVERLOADS = 1e-3
 """density of loads beyond an overload, over that of others"""
-LEAST_LOG = -300.0
+LEAST_LOG = -700.0
 """of a density"""
+LEAST = 1e-300
+"""a number to divide by in place of 0"""
+LEAST_VAR = 1e-18
+"""of a load or a speed"""
 RESTING, REMAINS = 0.7, 0.1
 """probability that a cell begins at rest; and mean of what is left of earlier loads then, over r at full scale"""
 DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
 ENTERS, ENTERS_VAR = 0.8, 0.36
 """mean and variance of the speed of a motion that begins, over its usual speed: of a half-normal variable"""
+
+
+@loop
+def decay(x: float) -> float:
+    """exp(x) of x <= 0, to 1e-9 down to -10 and 2e-6 down to -32; at least exp(-88).
+
+    The series of exp(x/256), whose terms are summed in pairs, so that none waits for all others.
+    """
+    y = max(x, -88.0) * (1.0 / 256.0)
+    square = y * y
+    y = (1.0 + y) + square * ((0.5 + y * (1.0 / 6.0)) + square * (1.0 / 24.0 + y * (1.0 / 120.0)))
+    y = y * y
+    y = y * y
+    y = y * y
+    y = y * y
+    y = y * y
+    y = y * y
+    y = y * y
+    return y * y
 
 
 @loop
@@ -120,9 +147,11 @@ def mass(z: float, bell: float) -> float:
     takes several times as long, by exponentials of its own.
     """
     x = abs(z)
-    above = ((0.0034137124178799327 * x + 0.03575450193849128) * x + 0.1684901690573697) * x + 0.41788844846365136
-    below = ((0.008556492980906077 * x + 0.08963991248159844) * x + 0.43059581096618055) * x + 1.140452334970459
-    tail = bell * (above * x + 0.5000000006490767) / ((below * x + 1.6336615620685102) * x + 1.0)
+    square = x * x
+    above = 0.5000000006490767 + 0.41788844846365136 * x
+    above += square * ((0.1684901690573697 + 0.03575450193849128 * x) + square * 0.0034137124178799327)
+    below = (1.0 + 1.6336615620685102 * x) + square * (1.140452334970459 + 0.43059581096618055 * x)
+    tail = bell * above / (below + square * square * (0.08963991248159844 + 0.008556492980906077 * x))
     return 1.0 - tail if z > 0.0 else tail
 
 
@@ -130,57 +159,90 @@ def mass(z: float, bell: float) -> float:
 def above(z: float) -> float:
     """Probability that a standard normal variable exceeds -z; at least that of z = -8."""
     z = max(z, -DEEP)
-    return mass(z, math.exp(-0.5 * z * z))
+    return mass(z, decay(-0.5 * z * z))
 
 
 @loop
-def pool(p: Pools, k: int, w: float, e: Estimates, j: int) -> None:
-    """Merge the estimate of mode ``j`` with weight ``w`` into pool ``k``: moments of the mixture."""
-    total = p.w[k] + w
-    own, part = p.w[k] / total, w / total
-    both = own * part
-    s, r, v = e.s[j] - p.s[k], e.r[j] - p.r[k], e.v[j] - p.v[k]
-    p.w[k] = total
-    p.s[k] += part * s
-    p.r[k] += part * r
-    p.v[k] += part * v
-    p.x3[k] += part * (e.x3[j] - p.x3[k])
-    p.ss[k] += part * (e.ss[j] - p.ss[k]) + both * s * s
-    p.sr[k] += part * (e.sr[j] - p.sr[k]) + both * s * r
-    p.sv[k] += part * (e.sv[j] - p.sv[k]) + both * s * v
-    p.rr[k] += part * (e.rr[j] - p.rr[k]) + both * r * r
-    p.rv[k] += part * (e.rv[j] - p.rv[k]) + both * r * v
-    p.vv[k] += part * (e.vv[j] - p.vv[k]) + both * v * v
+def pool(p: Pools, k: int, e: Estimates, first: int, last: int, t: Step) -> None:
+    """Pool what leaves every second mode from ``first`` to before ``last``: moments of the mixture."""
+    w = s = r = v = x3 = 0.0
+    for j in range(first, last, 2):
+        part = above_negligible(e.w[j] * t.leaves[j])
+        w += part
+        s += part * e.s[j]
+        r += part * e.r[j]
+        v += part * e.v[j]
+        x3 += part * e.x3[j]
+    per_w = 1.0 / max(w, LEAST)
+    s, r, v = s * per_w, r * per_w, v * per_w
+    p.w[k], p.s[k], p.r[k], p.v[k], p.x3[k] = w, s, r, v, x3 * per_w
+    ss = sr = sv = rr = rv = vv = 0.0
+    for j in range(first, last, 2):
+        part = above_negligible(e.w[j] * t.leaves[j]) * per_w
+        by_s, by_r, by_v = e.s[j] - s, e.r[j] - r, e.v[j] - v
+        ss += part * (e.ss[j] + by_s * by_s)
+        sr += part * (e.sr[j] + by_s * by_r)
+        sv += part * (e.sv[j] + by_s * by_v)
+        rr += part * (e.rr[j] + by_r * by_r)
+        rv += part * (e.rv[j] + by_r * by_v)
+        vv += part * (e.vv[j] + by_v * by_v)
+    p.ss[k], p.sr[k], p.sv[k], p.rr[k], p.rv[k], p.vv[k] = ss, sr, sv, rr, rv, vv
 
 
 @loop
-def comes(c: Candidates, n: int, w: float, p: Pools, k: int, turns: bool, rests: bool, speed: float, t: Step) -> None:
-    """Merge what comes from pool ``k`` with weight ``w`` into candidate ``n``, which begins to move with ``speed``.
+def comes(c: Candidates, p: Pools, t: Step) -> None:
+    """Merge what comes to each mode from the pools: moments of the mixture, but for the speed, which begins anew.
 
-    Where the phase changes within the frame, ``bend`` times the way before the turn is added to r.
+    Where the phase changes within the frame, ``bend`` times the way before the turn is added to r. What comes to rest
+    may remember something else.
     """
-    r, rr = p.r[k], p.rr[k]
-    if turns:
-        bend = t.bend * t.dt_s
-        r += t.unseen * bend * abs(p.v[k])
-        bend *= t.unseen_std
-        rr += bend * bend * (p.v[k] * p.v[k] + p.vv[k])
-    if rests:
-        off = t.memory * max(p.r[k], 0.0)
-        rr += off * off
-    total = c.w[n] + w
-    own, part = c.w[n] / total, w / total
-    both = own * part
-    off_s, off_r = p.s[k] - c.s[n], r - c.r[n]
-    c.w[n] = total
-    c.s[n] += part * off_s
-    c.r[n] += part * off_r
-    c.v[n] = ENTERS * speed
-    c.x3[n] += part * (p.x3[k] - c.x3[n])
-    c.ss[n] += part * (p.ss[k] - c.ss[n]) + both * off_s * off_s
-    c.sr[n] += part * (p.sr[k] - c.sr[n]) + both * off_s * off_r
-    c.rr[n] += part * (rr - c.rr[n]) + both * off_r * off_r
-    c.sv[n], c.rv[n], c.vv[n] = 0.0, 0.0, ENTERS_VAR * speed * speed
+    bend = t.bend * t.dt_s
+    unseen = bend * bend * t.unseen_std * t.unseen_std
+    s_0, s_1, s_2, s_3 = p.s[AFTER_DOWN], p.s[AFTER_UP], p.s[AFTER_REST], p.s[AFTER_SHAKE]
+    r_0, r_1, r_2, r_3 = p.r[AFTER_DOWN], p.r[AFTER_UP], p.r[AFTER_REST], p.r[AFTER_SHAKE]
+    x3_0, x3_1, x3_2, x3_3 = p.x3[AFTER_DOWN], p.x3[AFTER_UP], p.x3[AFTER_REST], p.x3[AFTER_SHAKE]
+    ss_0, ss_1, ss_2, ss_3 = p.ss[AFTER_DOWN], p.ss[AFTER_UP], p.ss[AFTER_REST], p.ss[AFTER_SHAKE]
+    sr_0, sr_1, sr_2, sr_3 = p.sr[AFTER_DOWN], p.sr[AFTER_UP], p.sr[AFTER_REST], p.sr[AFTER_SHAKE]
+    rr_0, rr_1, rr_2, rr_3 = p.rr[AFTER_DOWN], p.rr[AFTER_UP], p.rr[AFTER_REST], p.rr[AFTER_SHAKE]
+    way_0, way_1 = t.unseen * bend * abs(p.v[AFTER_DOWN]), t.unseen * bend * abs(p.v[AFTER_UP])
+    way_var_0 = unseen * (p.v[AFTER_DOWN] * p.v[AFTER_DOWN] + p.vv[AFTER_DOWN])
+    way_var_1 = unseen * (p.v[AFTER_UP] * p.v[AFTER_UP] + p.vv[AFTER_UP])
+    memory_0, memory_1 = t.memory * max(r_0, 0.0), t.memory * max(r_1, 0.0)
+    for j in range(MODES):
+        n = MODES + j
+        w_0, w_1, w_2, w_3 = c.from_down[j], c.from_up[j], c.from_rest[j], c.from_shake[j]
+        w = w_0 + w_1 + w_2 + w_3
+        scale = 1.0 / max(w, LEAST)
+        w_0, w_1, w_2, w_3 = w_0 * scale, w_1 * scale, w_2 * scale, w_3 * scale
+        rises, falls = 1.0 if j % 2 == 1 and j != SHAKE else 0.0, 1.0 if j % 2 == 0 else 0.0
+        rests = 1.0 if j == REST else 0.0
+        bent_0, bent_1 = r_0 + rises * way_0, r_1 + falls * way_1
+        bent_var_0 = rr_0 + rises * way_var_0 + rests * memory_0 * memory_0
+        bent_var_1 = rr_1 + falls * way_var_1 + rests * memory_1 * memory_1
+        s = w_0 * s_0 + w_1 * s_1 + w_2 * s_2 + w_3 * s_3
+        r = w_0 * bent_0 + w_1 * bent_1 + w_2 * r_2 + w_3 * r_3
+        c.w[n], c.s[n], c.r[n] = w, s, r
+        c.x3[n] = w_0 * x3_0 + w_1 * x3_1 + w_2 * x3_2 + w_3 * x3_3
+        off_0, off_1, off_2, off_3 = s_0 - s, s_1 - s, s_2 - s, s_3 - s
+        by_r_0, by_r_1, by_r_2, by_r_3 = bent_0 - r, bent_1 - r, r_2 - r, r_3 - r
+        c.ss[n] = (
+            w_0 * (ss_0 + off_0 * off_0)
+            + w_1 * (ss_1 + off_1 * off_1)
+            + w_2 * (ss_2 + off_2 * off_2)
+            + w_3 * (ss_3 + off_3 * off_3)
+        )
+        c.sr[n] = (
+            w_0 * (sr_0 + off_0 * by_r_0)
+            + w_1 * (sr_1 + off_1 * by_r_1)
+            + w_2 * (sr_2 + off_2 * by_r_2)
+            + w_3 * (sr_3 + off_3 * by_r_3)
+        )
+        c.rr[n] = (
+            w_0 * (bent_var_0 + by_r_0 * by_r_0)
+            + w_1 * (bent_var_1 + by_r_1 * by_r_1)
+            + w_2 * (rr_2 + by_r_2 * by_r_2)
+            + w_3 * (rr_3 + by_r_3 * by_r_3)
+        )
 
 
 @loop
@@ -201,45 +263,44 @@ def released(p: Pools, t: Step) -> float:
 @loop
 def mix(e: Estimates, c: Candidates, p: Pools, t: Step) -> None:
     """The candidates of every mode: its own estimate, and what comes to it."""
-    for k in range(4):
-        p.w[k] = p.s[k] = p.r[k] = p.v[k] = p.x3[k] = 0.0
-        p.ss[k] = p.sr[k] = p.sv[k] = p.rr[k] = p.rv[k] = p.vv[k] = 0.0
+    pool(p, AFTER_REST, e, REST, REST + 1, t)
+    pool(p, AFTER_UP, e, HOLD_UP, SHAKE, t)
+    pool(p, AFTER_DOWN, e, HOLD_DOWN, SHAKE, t)
+    pool(p, AFTER_SHAKE, e, SHAKE, MODES, t)
     shaking = 0.0
-    for j in range(MODES):
-        w = e.w[j] * t.leaves[j]
-        if w > NEGLIGIBLE:
-            pool(p, AFTER_REST if j == REST else AFTER_SHAKE if j == SHAKE else phase_of(j), w, e, j)
-        if j != SHAKE:
-            shaking += e.w[j]
+    for j in range(SHAKE):
+        shaking += e.w[j]
     rests = released(p, t) if p.w[AFTER_DOWN] > 0.0 else 0.0
     for j in range(MODES):
         own, n = e.w[j] * (1.0 - t.leaves[j]), MODES + j
-        c.w[j] = own
-        if own > NEGLIGIBLE:
-            c.s[j], c.r[j], c.v[j], c.x3[j] = e.s[j], e.r[j], e.v[j], e.x3[j]
-            c.ss[j], c.sr[j], c.sv[j] = e.ss[j], e.sr[j], e.sv[j]
-            c.rr[j], c.rv[j], c.vv[j] = e.rr[j], e.rv[j], e.vv[j]
-        c.w[n] = c.s[n] = c.r[n] = c.x3[n] = c.ss[n] = c.sr[n] = c.rr[n] = 0.0
-        speed = t.speed[j] * sign_of(j)
+        c.w[j] = above_negligible(own)
+        c.s[j], c.r[j], c.v[j], c.x3[j] = e.s[j], e.r[j], e.v[j], e.x3[j]
+        c.ss[j], c.sr[j], c.sv[j] = e.ss[j], e.sr[j], e.sv[j]
+        c.rr[j], c.rv[j], c.vv[j] = e.rr[j], e.rv[j], e.vv[j]
         falls = p.w[AFTER_DOWN] * t.after_down[j]
         if j == REST:
             falls *= rests / t.release
         elif j in (HOLD_UP, HOLD_DOWN):
             falls *= (1.0 - rests) / (1.0 - t.release)
-        if falls > NEGLIGIBLE:
-            comes(c, n, falls, p, AFTER_DOWN, phase_of(j) == UP, j == REST, speed, t)
-        if p.w[AFTER_UP] * t.after_up[j] > NEGLIGIBLE:
-            comes(c, n, p.w[AFTER_UP] * t.after_up[j], p, AFTER_UP, phase_of(j) == DOWN, j == REST, speed, t)
-        if p.w[AFTER_REST] * t.after_rest[j] > NEGLIGIBLE:
-            comes(c, n, p.w[AFTER_REST] * t.after_rest[j], p, AFTER_REST, False, False, speed, t)
-        if p.w[AFTER_SHAKE] * t.after_shake[j] > NEGLIGIBLE:
-            comes(c, n, p.w[AFTER_SHAKE] * t.after_shake[j], p, AFTER_SHAKE, False, False, speed, t)
-    if shaking > 0.0:  # any load may begin to shake, from the pooled estimate of all that has begun to change
-        for k in range(3):
-            w = p.w[k]
-            if w > NEGLIGIBLE:
-                part = w / (p.w[0] + p.w[1] + p.w[2])
-                comes(c, MODES + SHAKE, shaking * t.shakes * part, p, k, False, False, t.speed[SHAKE], t)
+        c.from_down[j] = above_negligible(falls)
+        c.from_up[j] = above_negligible(p.w[AFTER_UP] * t.after_up[j])
+        c.from_rest[j] = above_negligible(p.w[AFTER_REST] * t.after_rest[j])
+        c.from_shake[j] = above_negligible(p.w[AFTER_SHAKE] * t.after_shake[j])
+        c.v[n], c.vv[n] = ENTERS * t.speed[j] * t.sign[j], ENTERS_VAR * t.speed[j] * t.speed[j]
+        c.sv[n] = c.rv[n] = 0.0
+    changing = p.w[AFTER_DOWN] + p.w[AFTER_UP] + p.w[AFTER_REST]
+    if shaking > 0.0 and changing > 0.0:  # any load may, from the pooled estimate of all that has begun to change
+        begin_s = shaking * t.shakes / changing
+        c.from_down[SHAKE] += begin_s * p.w[AFTER_DOWN]
+        c.from_up[SHAKE] += begin_s * p.w[AFTER_UP]
+        c.from_rest[SHAKE] += begin_s * p.w[AFTER_REST]
+    comes(c, p, t)
+
+
+@loop
+def above_negligible(w: float) -> float:
+    """A weight, or 0 of what is dropped."""
+    return w if w > NEGLIGIBLE else 0.0
 
 
 @loop
@@ -249,48 +310,49 @@ def phase_of(j: int) -> int:
 
 
 @loop
-def sign_of(j: int) -> float:
-    """Sign of the speed in a mode; 0: it does not move."""
-    if j == SHAKE:
-        return 1.0
-    if j < CREEP_DOWN - 1:
-        return 0.0
-    return 1.0 if j % 2 == 1 else -1.0
+def predict(c: Candidates, t: Step) -> None:
+    """Every candidate after a time step, before its reading: a linear step with noise."""
+    for n in range(2 * MODES):
+        s, r, v, x3 = c.s[n], c.r[n], c.v[n], c.x3[n]
+        ss, sr, sv, rr, rv, vv = c.ss[n], c.sr[n], c.sv[n], c.rr[n], c.rv[n], c.vv[n]
+        stays, way, kept = t.stays[n], t.way_s[n], t.kept[n]
+        by_s, by_r, by_v = t.by_s[n], t.by_r[n], t.by_v[n]
+        c.s[n] = stays * s + way * v
+        c.r[n] = by_s * s + by_r * r + by_v * v + t.by_x3[n] * x3
+        c.v[n] = kept * v
+        c.x3[n] = t.x3_kept * x3 + t.x3_by_s[n] * s + t.x3_by_v[n] * v
+        s_s, s_r, s_v = stays * ss + way * sv, stays * sr + way * rv, stays * sv + way * vv
+        r_s, r_r = by_s * ss + by_r * sr + by_v * sv, by_s * sr + by_r * rr + by_v * rv
+        r_v = by_s * sv + by_r * rv + by_v * vv
+        c.ss[n] = stays * s_s + way * s_v + t.noise_ss[n]
+        c.sr[n] = by_s * s_s + by_r * s_r + by_v * s_v + t.noise_sr[n]
+        c.sv[n] = kept * s_v + t.noise_sv[n]
+        c.rr[n] = by_s * r_s + by_r * r_r + by_v * r_v + t.noise_rr[n]
+        c.rv[n] = kept * r_v + t.noise_rv[n]
+        c.vv[n] = kept * kept * vv + t.noise_vv[n]
 
 
 @loop
-def predict(c: Candidates, n: int, j: int, t: Step) -> None:
-    """Candidate ``n`` of mode ``j`` after a time step, before its reading."""
-    phase = phase_of(j)
-    s, r, v, x3 = c.s[n], c.r[n], c.v[n], c.x3[n]
-    ss, sr, sv, rr, rv, vv = c.ss[n], c.sr[n], c.sv[n], c.rr[n], c.rv[n], c.vv[n]
-    by_s, by_r, move = t.by_s[phase], t.by_r[phase], t.by_move[phase]
-    if j == REST:  # what was left of the load has gone within the step
-        by_s -= move
-        c.s[n] = c.v[n] = c.ss[n] = c.sr[n] = c.sv[n] = c.rv[n] = c.vv[n] = 0.0
-        c.r[n] = by_s * s + by_r * r + t.by_x3[phase] * x3
-        c.rr[n] = by_s * by_s * ss + 2.0 * by_s * by_r * sr + by_r * by_r * rr + t.drift_var
-        c.x3[n] = t.x3_kept * x3 + (t.x3_by_s - t.x3_by_move) * s
-        return
-    way, by_v = t.way_s[j], move * t.way_s[j]
-    if j == SHAKE:
-        by_v = 0.5 * t.bend * t.dt_s
-    c.s[n] = s + way * v
-    c.r[n] = by_s * s + by_r * r + t.by_x3[phase] * x3 + by_v * v
-    c.v[n] = t.kept[j] * v
-    c.x3[n] = t.x3_kept * x3 + t.x3_by_s * s + t.x3_by_move * way * v
-    s_s, s_r, s_v = ss + way * sv, sr + way * rv, sv + way * vv
-    r_s, r_r, r_v = (
-        by_s * ss + by_r * sr + by_v * sv,
-        by_s * sr + by_r * rr + by_v * rv,
-        by_s * sv + by_r * rv + by_v * vv,
-    )
-    c.ss[n] = s_s + way * s_v + t.way_var[j]
-    c.sr[n] = by_s * s_s + by_r * s_r + by_v * s_v + move * t.way_var[j]
-    c.sv[n] = t.kept[j] * s_v + t.way_speed[j]
-    c.rr[n] = by_s * r_s + by_r * r_r + by_v * r_v + move * move * t.way_var[j] + t.drift_var
-    c.rv[n] = t.kept[j] * r_v + move * t.way_speed[j]
-    c.vv[n] = t.kept[j] * t.kept[j] * vv + t.speed_var[j]
+def expect(c: Candidates, t: Step) -> None:
+    """Begin the likelihood of every candidate: what lies within the bounds already counts for all of it."""
+    for n in range(2 * MODES):
+        per_std = 1.0 / math.sqrt(max(c.ss[n], LEAST_VAR))
+        to_turn, to_zero = t.sign[n] * c.v[n] / math.sqrt(max(c.vv[n], LEAST_VAR)), c.s[n] * per_std
+        to_overload = (t.overload - c.s[n]) * per_std
+        goes_on, loaded, usual = above(to_turn), above(to_zero), above(to_overload)
+        prior = goes_on if t.sign[n] != 0.0 and abs(to_turn) < FAR else 1.0
+        of_load = max(loaded, 0.5) if abs(to_zero) < FAR else 1.0
+        of_load *= OVERLOADS + (1.0 - OVERLOADS) * usual if to_overload < FAR else 1.0
+        c.likelihood[n], c.distance[n] = 1.0 / (prior * (of_load if t.stays[n] != 0.0 else 1.0)), 0.0
+    for n in range(2 * MODES):
+        if c.s[n] > 1.0:
+            c.likelihood[n] /= rarity(c.s[n], t)
+
+
+@loop
+def rarity(s: float, t: Step) -> float:
+    """Density of a load, over that of loads up to full scale."""
+    return decay((1.0 - s) / t.scarce) if s > 1.0 else 1.0
 
 
 @loop
@@ -308,75 +370,114 @@ def move(c: Candidates, n: int, s: float, r: float, v: float, off: float, less: 
 
 
 @loop
-def bound(c: Candidates, n: int, of_speed: bool, at: float, side: float, rare: float) -> float:
-    """Weigh what is beyond a bound of the load, or of the speed, by ``rare``; returns the weight that is left.
-
-    The density is multiplied by 1 on the ``side`` of the bound and by ``rare`` beyond it. 0 truncates; a small number
-    leaves an estimate alone that is beyond for sure.
-    """
-    mean, var = (c.v[n], c.vv[n]) if of_speed else (c.s[n], c.ss[n])
-    off = side * (mean - at)
-    if off > 0.0 and off * off > FAR * FAR * var:
-        return 1.0
-    std = math.sqrt(max(var, 1e-18))
-    z = off / std
-    bell = math.exp(-0.5 * z * z)
-    s, r, v = (c.sv[n], c.rv[n], c.vv[n]) if of_speed else (c.ss[n], c.sr[n], c.sv[n])
-    inside = rare + (1.0 - rare) * (mass(z, bell) if z > -DEEP else above(-DEEP))
-    if z < -DEEP and rare == 0.0:  # the moments of so little are those of the bound itself
-        gain = (at - mean) / (std * std)
-        move(c, n, s, r, v, gain, 0.0)
-        if of_speed:
-            c.v[n], c.sv[n], c.rv[n], c.vv[n] = at, 0.0, 0.0, 0.0
-        else:
-            c.s[n], c.ss[n], c.sr[n], c.sv[n] = at, 0.0, 0.0, 0.0
-        return inside
+def truncated(z: float, rare: float) -> tuple[float, float, float]:
+    """A standard normal density that counts above -z, and by ``rare`` below: its mass, mean, and loss of variance."""
+    near = max(z, -DEEP)
+    bell = decay(-0.5 * near * near)
+    inside = rare + (1.0 - rare) * mass(near, bell)
     hazard = (1.0 - rare) * DENSITY * bell / inside
-    left = max(1.0 - hazard * (hazard + z), 0.02)
-    gain, less = side * hazard / std, (1.0 - left) / (std * std)
-    move(c, n, s, r, v, gain, less)
-    return inside
+    less = min(hazard * (hazard + z), 0.98)
+    return inside, hazard if z >= -DEEP or rare > 0.0 else -z, less if z >= -DEEP or rare > 0.0 else 0.0
 
 
 @loop
-def within(c: Candidates, n: int, var: float, low: float, high: float) -> None:
-    """Condition a candidate on a reading of variance ``var`` between ``low`` and ``high``."""
-    width, std, centre = high - low, math.sqrt(var), c.r[n]
-    if width < 0.7 * std:
-        wide = var + width * width * (1.0 / 12.0)
-        off, left = var / wide * (0.5 * (low + high) - centre), var - var * var / wide
-    else:
-        to_low, to_high = (low - centre) / std, (high - centre) / std
-        if to_low > 5.0 or to_high < -5.0:
-            off, left = (to_low if to_low > 5.0 else to_high) * std, 0.02 * var
-        else:
-            below = DENSITY * math.exp(-0.5 * to_low * to_low) if to_low > -30.0 else 0.0
-            beyond = DENSITY * math.exp(-0.5 * to_high * to_high) if to_high < 30.0 else 0.0
-            inside = max(above(to_high) - above(to_low), 1e-12)
-            shift = (below - beyond) / inside
-            spread = 1.0 - shift * shift
-            spread += (to_low * below if to_low > -30.0 else 0.0) / inside
-            spread -= (to_high * beyond if to_high < 30.0 else 0.0) / inside
-            off, left = shift * std, max(spread, 1e-3) * var
-    s, r, v = c.sr[n] / var, c.rr[n] / var, c.rv[n] / var
-    less = var - left
-    move(c, n, s, r, v, off, less)
+def take_exact(c: Candidates, low: float, high: float, var: float, t: Step) -> None:
+    """Condition every candidate on a reading of noise ``var`` in an interval that is narrow beside it.
+
+    A Kalman update. Its density is a factor of the likelihood, and an exponent.
+    """
+    middle, of_width = 0.5 * (low + high), (high - low) * (high - low) * (1.0 / 12.0)
+    for n in range(2 * MODES):
+        expected = max(c.rr[n] + var + t.swings[n] * (c.v[n] * c.v[n] + c.vv[n]), LEAST_VAR)
+        wide, off = expected + of_width, middle - c.r[n]
+        c.likelihood[n] *= DENSITY / math.sqrt(wide)
+        c.distance[n] = 0.5 * off * off / wide
+        gain, less = off / wide, 1.0 / wide
+        move(c, n, c.sr[n], c.rr[n], c.rv[n], gain, less)
 
 
 @loop
-def judge(centre: float, var: float, low: float, high: float) -> tuple[float, float]:
-    """Density of a reading between ``low`` and ``high``, per r, as a factor and a negative exponent."""
-    width, std = high - low, math.sqrt(var)
-    if width < 0.7 * std:
-        wide = var + width * width * (1.0 / 12.0)
-        off = 0.5 * (low + high) - centre
-        return DENSITY / math.sqrt(wide), 0.5 * off * off / wide
-    to_low, to_high = (low - centre) / std, (high - centre) / std
-    if to_low > 5.0 or to_high < -5.0:
-        z = to_low if to_low > 5.0 else to_high
-        return DENSITY / (abs(z) * width), 0.5 * z * z
-    inside = max(above(to_high) - above(to_low), 1e-12)
-    return inside / min(width, 1.0), 0.0
+def take_interval(c: Candidates, low: float, high: float, var: float, t: Step) -> None:
+    """Condition every candidate on a reading of noise ``var`` between ``low`` and ``high`` (Curry 1970).
+
+    Moments of the truncated normal distribution, or of its tail; a narrow interval is a Kalman update. The density of
+    the reading, per r, is a factor of the likelihood, and an exponent.
+    """
+    middle, width = 0.5 * (low + high), high - low
+    of_width = width * width * (1.0 / 12.0)
+    for n in range(2 * MODES):
+        expected = max(c.rr[n] + var + t.swings[n] * (c.v[n] * c.v[n] + c.vv[n]), LEAST_VAR)
+        wide, off, std = expected + of_width, middle - c.r[n], math.sqrt(expected)
+        per_wide, per_std = 1.0 / wide, 1.0 / std
+        to_low, to_high = (low - c.r[n]) * per_std, (high - c.r[n]) * per_std
+        bell_low, bell_high = decay(-0.5 * to_low * to_low), decay(-0.5 * to_high * to_high)
+        inside = max(mass(to_high, bell_high) - mass(to_low, bell_low), 1e-12)
+        shift = DENSITY * (bell_low - bell_high) / inside
+        spread = max(1.0 - shift * shift + DENSITY * (to_low * bell_low - to_high * bell_high) / inside, 1e-3)
+        near = to_low if to_low > 5.0 else to_high
+        narrow, far = width < NARROW * std, to_low > 5.0 or to_high < -5.0
+        truncated = inside / min(width, 1.0)
+        factor = DENSITY * math.sqrt(per_wide) if narrow else DENSITY / (abs(near) * width) if far else truncated
+        c.likelihood[n] *= factor
+        c.distance[n] = 0.5 * off * off * per_wide if narrow else 0.5 * near * near if far else 0.0
+        gain = off * per_wide if narrow else (near if far else shift) * per_std
+        less = per_wide if narrow else (1.0 - (0.02 if far else spread)) * per_std * per_std
+        move(c, n, c.sr[n], c.rr[n], c.rv[n], gain, less)
+
+
+@loop
+def bound_speed(c: Candidates, t: Step) -> None:
+    """Truncate every candidate whose mode fixes the sign of its speed; what is left is a factor of its likelihood."""
+    for n in range(2 * MODES):
+        side, var = t.sign[n], max(c.vv[n], LEAST_VAR)
+        per_std = 1.0 / math.sqrt(var)
+        z = side * c.v[n] * per_std
+        inside, hazard, less = truncated(z, 0.0)
+        felt, deep = side != 0.0 and z <= FAR, z < -DEEP
+        gain, less = side * hazard * per_std if felt else 0.0, less * per_std * per_std if felt else 0.0
+        c.likelihood[n] *= inside if felt else 1.0
+        move(c, n, c.sv[n], c.rv[n], c.vv[n], gain, less)
+        beyond = 0.0 if felt and deep else 1.0  # the moments of so little are those of the bound itself
+        c.v[n] *= beyond
+        c.sv[n] *= beyond
+        c.rv[n] *= beyond
+        c.vv[n] *= beyond
+
+
+@loop
+def bound_load(c: Candidates, t: Step) -> None:
+    """Truncate every candidate at no load, but for those at rest, likewise."""
+    for n in range(2 * MODES):
+        var = max(c.ss[n], LEAST_VAR)
+        per_std = 1.0 / math.sqrt(var)
+        z = c.s[n] * per_std
+        inside, hazard, less = truncated(z, 0.0)
+        felt, deep = t.stays[n] != 0.0 and z <= FAR, z < -DEEP
+        gain, less = hazard * per_std if felt else 0.0, less * per_std * per_std if felt else 0.0
+        c.likelihood[n] *= inside if felt else 1.0
+        move(c, n, c.ss[n], c.sr[n], c.sv[n], gain, less)
+        beyond = 0.0 if felt and deep else 1.0
+        c.s[n] *= beyond
+        c.ss[n] *= beyond
+        c.sr[n] *= beyond
+        c.sv[n] *= beyond
+
+
+@loop
+def bound_overload(c: Candidates, t: Step) -> None:
+    """Make loads beyond the heaviest usual one rare, and those beyond full scale scarce."""
+    for n in range(2 * MODES):
+        over, var = t.overload - c.s[n], max(c.ss[n], LEAST_VAR)
+        if t.stays[n] == 0.0 or c.w[n] == 0.0:
+            continue
+        if over <= 0.0 or over * over <= FAR * FAR * var:
+            per_std = 1.0 / math.sqrt(var)
+            z = over * per_std
+            inside, hazard, less = truncated(z, OVERLOADS)
+            gain, less = -hazard * per_std, less * per_std * per_std
+            c.likelihood[n] *= inside
+            move(c, n, c.ss[n], c.sr[n], c.sv[n], gain, less)
+        c.likelihood[n] *= rarity(c.s[n], t)
 
 
 @loop
@@ -388,54 +489,24 @@ def advance(
     ``forget``: share of the evidence for the modes that is kept; 1: all.
     """
     mix(e, c, p, t)
+    predict(c, t)
+    expect(c, t)
+    if known and high - low < NARROW * math.sqrt(var):
+        take_exact(c, low, high, var, t)
+    elif known:
+        take_interval(c, low, high, var, t)
+    bound_speed(c, t)
+    bound_load(c, t)
+    bound_overload(c, t)
+    nearest, total = 1e300, 0.0
     for n in range(2 * MODES):
-        j = n % MODES
-        if c.w[n] <= NEGLIGIBLE:
-            c.w[n] = 0.0
-            continue
-        predict(c, n, j, t)
-        prior = 1.0
-        sign = sign_of(j)
-        if sign != 0.0 and c.v[n] * c.v[n] < FAR * FAR * c.vv[n]:
-            prior = above(sign * c.v[n] / math.sqrt(c.vv[n]))
-        if j != REST:
-            if c.s[n] * c.s[n] < FAR * FAR * c.ss[n]:
-                prior *= max(above(c.s[n] / math.sqrt(c.ss[n])), 0.5)
-            over = t.overload - c.s[n]
-            if over < 0.0 or over * over < FAR * FAR * c.ss[n]:
-                prior *= OVERLOADS + (1.0 - OVERLOADS) * above(over / math.sqrt(max(c.ss[n], 1e-18)))
-            if c.s[n] > 1.0:
-                prior *= math.exp(max((1.0 - c.s[n]) / t.scarce, LEAST_LOG))
-        c.likelihood[n] = 1.0 / prior
-        c.distance[n] = 0.0
-        if known:
-            of_reading = c.rr[n] + var
-            if j == SHAKE:
-                of_reading += t.swing * t.swing * (c.v[n] * c.v[n] + c.vv[n])
-            c.reading_var[n] = of_reading
-    nearest = 1e300
+        if c.w[n] > 0.0:
+            nearest = min(nearest, c.distance[n])
     for n in range(2 * MODES):
-        if c.w[n] == 0.0:
-            continue
-        j = n % MODES
-        if known:
-            factor, distance = judge(c.r[n], c.reading_var[n], low, high)
-            c.likelihood[n] *= factor
-            c.distance[n] = distance
-            within(c, n, c.reading_var[n], low, high)
-        sign = sign_of(j)
-        if sign != 0.0:
-            c.likelihood[n] *= bound(c, n, True, 0.0, sign, 0.0)
-        if j != REST:
-            c.likelihood[n] *= bound(c, n, False, 0.0, 1.0, 0.0) * bound(c, n, False, t.overload, -1.0, OVERLOADS)
-            if c.s[n] > 1.0:
-                c.likelihood[n] *= math.exp(max((1.0 - c.s[n]) / t.scarce, LEAST_LOG))
-        nearest = min(nearest, c.distance[n])
-    total = 0.0
+        w = c.w[n] * c.likelihood[n] * decay(min(nearest - c.distance[n], 0.0))
+        c.w[n] = w if c.w[n] > 0.0 else 0.0
     for n in range(2 * MODES):
-        if c.w[n] != 0.0:
-            c.w[n] *= c.likelihood[n] * math.exp(nearest - c.distance[n])
-            total += c.w[n]
+        total += c.w[n]
     merge(e, c, 1.0 / total, t, forget)
     return math.log(total) - nearest
 
@@ -443,37 +514,38 @@ def advance(
 @loop
 def merge(e: Estimates, c: Candidates, scale: float, t: Step, forget: float) -> None:
     """Merge the two candidates of every mode; weights become probabilities."""
-    total = 0.0
     for j in range(MODES):
         n = MODES + j
-        own, come = c.w[j] * scale, c.w[n] * scale
+        own, come = c.w[j], c.w[n]
         w = own + come
-        if w <= 0.0:
-            e.w[j] = 0.0
-            continue
-        if own < NEGLIGIBLE * come or come < NEGLIGIBLE * own:
-            k = j if own > come else n
-            e.s[j], e.r[j], e.v[j], e.x3[j] = c.s[k], c.r[k], c.v[k], c.x3[k]
-            e.ss[j], e.sr[j], e.sv[j] = c.ss[k], c.sr[k], c.sv[k]
-            e.rr[j], e.rv[j], e.vv[j] = c.rr[k], c.rv[k], c.vv[k]
-        else:
-            part = come / w
-            both = part * own / w
-            s, r, v = c.s[n] - c.s[j], c.r[n] - c.r[j], c.v[n] - c.v[j]
-            e.s[j], e.r[j], e.v[j] = c.s[j] + part * s, c.r[j] + part * r, c.v[j] + part * v
-            e.x3[j] = c.x3[j] + part * (c.x3[n] - c.x3[j])
-            e.ss[j] = c.ss[j] + part * (c.ss[n] - c.ss[j]) + both * s * s
-            e.sr[j] = c.sr[j] + part * (c.sr[n] - c.sr[j]) + both * s * r
-            e.sv[j] = c.sv[j] + part * (c.sv[n] - c.sv[j]) + both * s * v
-            e.rr[j] = c.rr[j] + part * (c.rr[n] - c.rr[j]) + both * r * r
-            e.rv[j] = c.rv[j] + part * (c.rv[n] - c.rv[j]) + both * r * v
-            e.vv[j] = c.vv[j] + part * (c.vv[n] - c.vv[j]) + both * v * v
-        if forget < 1.0:
+        per_w = 1.0 / max(w, LEAST)
+        part = come * per_w
+        both, alive = part * own * per_w, w > 0.0
+        s, r, v = c.s[n] - c.s[j], c.r[n] - c.r[j], c.v[n] - c.v[j]
+        c.w[j] = w * scale
+        # An estimate that has no weight is none, so that it never becomes something that is no number.
+        c.s[j] = c.s[j] + part * s if alive else 0.0
+        c.r[j] = c.r[j] + part * r if alive else 0.0
+        c.v[j] = c.v[j] + part * v if alive else 0.0
+        c.x3[j] = c.x3[j] + part * (c.x3[n] - c.x3[j]) if alive else 0.0
+        c.ss[j] = c.ss[j] + part * (c.ss[n] - c.ss[j]) + both * s * s if alive else 0.0
+        c.sr[j] = c.sr[j] + part * (c.sr[n] - c.sr[j]) + both * s * r if alive else 0.0
+        c.sv[j] = c.sv[j] + part * (c.sv[n] - c.sv[j]) + both * s * v if alive else 0.0
+        c.rr[j] = c.rr[j] + part * (c.rr[n] - c.rr[j]) + both * r * r if alive else 0.0
+        c.rv[j] = c.rv[j] + part * (c.rv[n] - c.rv[j]) + both * r * v if alive else 0.0
+        c.vv[j] = c.vv[j] + part * (c.vv[n] - c.vv[j]) + both * v * v if alive else 0.0
+    total = 0.0
+    for j in range(MODES):
+        w = c.w[j]
+        if forget < 1.0 and w > 0.0:
             w = math.pow(max(w, 1e-12), forget) * math.pow(t.usual[j], 1.0 - forget)
         e.w[j] = w
         total += w
     for j in range(MODES):
         e.w[j] /= total
+        e.s[j], e.r[j], e.v[j], e.x3[j] = c.s[j], c.r[j], c.v[j], c.x3[j]
+        e.ss[j], e.sr[j], e.sv[j] = c.ss[j], c.sr[j], c.sv[j]
+        e.rr[j], e.rv[j], e.vv[j] = c.rr[j], c.rv[j], c.vv[j]
 
 
 @loop
@@ -518,6 +590,31 @@ def begin(e: Estimates, r: float, geq: float, gu: float, g3: float) -> None:
     e.w[REST], e.w[1], e.w[2] = rests / (rests + held), 0.8 * held / (rests + held), 0.2 * held / (rests + held)
 
 
+class Reading(Record):
+    """What a frame says of a cell, and what the filter makes of it; scratch of a frame."""
+
+    known: float
+    """1: it was read; 0: not; -1: never"""
+    low: float
+    """the reading lies between these r"""
+    high: float
+    variance: float
+    """of its noise"""
+    slope: float
+    """dr/dG"""
+    shared: float
+    """signed standard deviation of the quantisation that its column shares, and the most of it that lasts"""
+    held: float
+    lasting: float
+    """variance of what else no average lessens"""
+    off: float
+    """scratch of :func:`.share_each`"""
+    spread: float
+    load: float
+    """mean, and its variance"""
+    load_variance: float
+
+
 class Watch(Record):
     """What is known of a cell beside its :class:`Estimates`."""
 
@@ -528,8 +625,9 @@ class Watch(Record):
     """1 while the cell is at rest and only watched"""
     offset: float
     """r by drift of the rest resistance, as the cell last slept; never changes under a load"""
-    centre: float
-    """mean reading of a sleeping cell"""
+    left: float
+    """r that is left of earlier loads while the cell sleeps, and the slow branch of it"""
+    left_x3: float
     cusum: float
     """Page's cumulative sum of its departures towards loads, in standard deviations"""
 
@@ -609,13 +707,13 @@ def follow(
 def expects(e: Estimates, watch: Watch, t: Step) -> tuple[float, float]:
     """Mean and variance of the next r of a cell, to first order in the step."""
     if watch.asleep > 0.0:
-        return watch.centre, 0.0
+        return watch.offset + watch.left, 0.0
     mean = spread = 0.0
     for j in range(MODES):
         mean += e.w[j] * e.r[j]
     for j in range(MODES):
         off = e.r[j] - mean
-        way = t.by_move[phase_of(j)] * t.way_s[j]
+        way = t.by_move[j] * t.way_s[j]
         spread += e.w[j] * (e.rr[j] + off * off + way * way * (e.v[j] * e.v[j] + e.vv[j]))
     return mean + watch.offset, spread
 
@@ -629,16 +727,11 @@ def step_each(
     pools: Records[Pools],
     trial: Records[Estimates],
     steps: Records[Step],
-    low: Row,
-    high: Row,
-    var: Row,
-    known: Row,
+    readings: Records[Reading],
     sleeps: Row,
     forget: float,
-    load: Row,
-    variance: Row,
 ) -> None:
-    """Take a frame of n cells; writes mean ``load`` (n,) and its ``variance`` (n,).
+    """Take a frame of n cells; writes loads.
 
     Args:
         cells: (n,) estimates; before a bad contact, if it is one, in ``befores``; and the rest of their states.
@@ -648,29 +741,26 @@ def step_each(
         pools: see ``scratch``.
         trial: see ``scratch``.
         steps: (1,) weights of the time step.
-        low: (n,) readings lie between ``low`` and ``high``.
-        high: see ``low``.
-        var: (n,) variance of their noise.
-        known: (n,) 1 where a cell is read, 0 where it is not, -1 where it has never been.
+        readings: (n,)
         sleeps: (n,) 1 where a cell may sleep.
         forget: share of the evidence for modes that is kept.
-        load: written.
-        variance: written.
+
     """
     t, c, p = steps[0], scratch[0], pools[0]
     for i in range(cells.size):
-        if known[i] < 0.0:
+        reading = readings[i]
+        known, width, var = reading.known > 0.0, reading.high - reading.low, reading.variance
+        if reading.known < 0.0:
             continue
         e, before, watch = cells[i], befores[i], watches[i]
         if watch.asleep > 0.0:
-            if known[i] > 0.0 and rests(watch, t, low[i], high[i], var[i]):
-                load[i] = 0.0
-                width = high[i] - low[i]
-                variance[i] = t.floor * t.floor + (var[i] + width * width * (1.0 / 12.0)) / (t.gain * t.gain)
+            if known and rests(watch, t, reading.low, reading.high, var):
+                reading.load = 0.0
+                reading.load_variance = t.floor * t.floor + (var + width * width * (1.0 / 12.0)) / (t.gain * t.gain)
                 continue
-            watch.asleep, watch.offset = 0.0, watch.centre - e.r[REST]
-        least, most = low[i] - watch.offset, high[i] - watch.offset
-        follow(e, before, watch, c, p, trial[0], t, known[i] > 0.0, least, most, var[i], forget)
+            watch.asleep, e.r[REST], e.x3[REST] = 0.0, watch.left, watch.left_x3
+        low, high = reading.low - watch.offset, reading.high - watch.offset
+        follow(e, before, watch, c, p, trial[0], t, known, low, high, var, forget)
         mean = mean_of(e)
         spread = variance_of(e, mean, t)
         if watch.since_s > 0.0:
@@ -681,28 +771,32 @@ def step_each(
             spread += bad * (variance_of(before, other, t) - spread) + bad * (1.0 - bad) * off * off
             if watch.odds > 0.0:
                 mean = other
-        elif sleeps[i] > 0.0 and forget < 1.0 and known[i] > 0.0 and settled(e, var[i], high[i] - low[i]):
-            watch.asleep, watch.centre, watch.cusum = 1.0, watch.offset + e.r[REST], 0.0
-        load[i] = mean
+        elif sleeps[i] > 0.0 and forget < 1.0 and known and settled(e, var, width):
+            watch.asleep, watch.left, watch.left_x3, watch.cusum = 1.0, e.r[REST], e.x3[REST], 0.0
         beyond = max(mean - 1.0, 0.0) * t.extrapolated
-        variance[i] = spread + t.floor * t.floor + t.relative * t.relative * mean * mean + beyond * beyond
+        reading.load = mean
+        reading.load_variance = spread + t.floor * t.floor + t.relative * t.relative * mean * mean + beyond * beyond
 
 
 @loop
 def settled(e: Estimates, var: float, width: float) -> bool:
-    """Whether a cell is at rest, and remembers nothing that the noise does not hide."""
-    return bool(e.w[REST] > RESTS and e.r[REST] * e.r[REST] < 1e-6 + 0.3 * (var + width * width * (1.0 / 12.0)))
+    """Whether a cell is at rest: for sure, or with no memory that the noise does not hide."""
+    noise = var + width * width * (1.0 / 12.0)
+    return bool(e.w[REST] > SURE or (e.w[REST] > RESTS and e.r[REST] * e.r[REST] < 1e-6 + 0.3 * noise))
 
 
 @loop
 def rests(watch: Watch, t: Step, low: float, high: float, var: float) -> bool:
-    """Whether a sleeping cell goes on sleeping (Page 1954)."""
+    """Whether a sleeping cell goes on sleeping (Page 1954): reads what is left of earlier loads, which fades."""
     std = math.sqrt(var + (high - low) * (high - low) * (1.0 / 12.0))
-    off = (0.5 * (low + high) - watch.centre) / std
+    left = t.by_r[REST] * watch.left + t.by_x3[REST] * watch.left_x3
+    off = (0.5 * (low + high) - watch.offset - left) / std
     watch.cusum = max(watch.cusum + off - 0.5, 0.0)
     sleeps = abs(off) < WAKES and watch.cusum < WAKES
-    if sleeps and t.drift_var > 0.0:  # of readings at rest alone, and where the rest resistance drifts at all
-        watch.centre += (off * std) * min(t.dt_s / DRIFTS_S, 1.0)
+    if sleeps:
+        watch.left, watch.left_x3 = left, watch.left_x3 * t.x3_kept
+        if t.drift_var > 0.0:  # of readings at rest alone, and where the rest resistance drifts at all
+            watch.offset += (off * std) * min(t.dt_s / DRIFTS_S, 1.0)
     return bool(sleeps)
 
 
@@ -712,7 +806,7 @@ HOPELESS = -12.0
 """logarithm of the odds at which no contact is suspected any more"""
 LASTING = 5.0
 """usual times of a bad contact, after which what is read counts as a load"""
-RESTS = 0.5
-"""probability of rest from which a cell may sleep"""
+RESTS, SURE = 0.5, 0.998
+"""probabilities of rest from which a cell sleeps that remembers nothing, or that fades as the model says"""
 WAKES, DRIFTS_S = 4.0, 3.0
-"""standard deviations, and their sum, at which a cell wakes; and s, in which the mean of a sleeping cell follows"""
+"""standard deviations, and their sum, at which a cell wakes; and s, in which the offset of a sleeping cell follows"""

@@ -40,7 +40,8 @@ PHASES = (DOWN, UP, DOWN, UP, DOWN, UP, DOWN, UP, DOWN, UP, DOWN, EITHER)
 KINDS = (STILL, HELD, HELD, MOVING, MOVING, MOVING, MOVING, MOVING, MOVING, JUMPING, JUMPING, SHAKING)
 _MODE_KINDS = tuple(zip(PHASES, KINDS, strict=True))
 EACH = Annotated[FloatArray, MODES]
-Three = Annotated[FloatArray, 3]
+TWICE = Annotated[FloatArray, 2 * MODES]
+"""of each mode for its own estimate, and again for what comes to it"""
 
 
 @dataclass(frozen=True)
@@ -136,27 +137,41 @@ class Material:
 
 
 class Step(Record):
-    """Weights of a time step, for every phase (3,) or mode (:data:`MODES`,)."""
+    """Weights of a time step, for every mode (:data:`MODES`,) or for its two candidates (:data:`TWICE`,).
+
+    After a step s = stays s + way_s v, r = by_s s + by_r r + by_x3 x3 + by_v v, x3 = x3_kept x3 + x3_by_s s + x3_by_v v
+    and v = kept v, of the states before it.
+    """
 
     dt_s: float
-    by_s: Three
-    """r after the step = by_s s + by_r r + by_x3 x3 + by_move (change of s), of the states before it"""
-    by_r: Three
-    by_x3: Three
-    by_move: Three
+    stays: TWICE
+    """0 of rest, which what was left of a load leaves within the step; of others 1"""
+    way_s: TWICE
+    """seconds: the mean way of a motion over its speed"""
+    by_s: TWICE
+    by_r: TWICE
+    by_x3: TWICE
+    by_v: TWICE
+    by_move: TWICE
+    """r by a change of the load within the step"""
     x3_kept: float
-    x3_by_s: float
-    x3_by_move: float
+    x3_by_s: TWICE
+    x3_by_v: TWICE
+    kept: TWICE
+    """share of the speed that is left"""
+    noise_ss: TWICE
+    """covariances of what moves by chance"""
+    noise_sr: TWICE
+    noise_sv: TWICE
+    noise_rr: TWICE
+    noise_rv: TWICE
+    noise_vv: TWICE
+    sign: TWICE
+    """of the speed; 0 where it does not move"""
+    swings: TWICE
+    """variance of r over the mean square of the speed, by swings within a frame"""
     bend: float
     """r by an unseen way to and fro: the gain of rises beyond that of falls"""
-    way_s: EACH
-    """seconds: the mean way of a motion over its speed"""
-    kept: EACH
-    """share of the speed that is left"""
-    way_var: EACH
-    """variances of the way and of the speed, and their covariance"""
-    way_speed: EACH
-    speed_var: EACH
     speed: EACH
     """usual speed"""
     leaves: EACH
@@ -175,8 +190,6 @@ class Step(Record):
     """probability of each mode when nothing is known"""
     unseen: float
     unseen_std: float
-    swing: float
-    """r per FS/s, of the swings within a frame"""
     swing_s: float
     memory: float
     drift_var: float
@@ -207,19 +220,39 @@ def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step
             m.g1 + m.g2 * ramp_2 + m.g3 * ramp_3,
         ]
     )
-    by_s, by_r, by_x3, by_move = np.stack([recovery, rising, 0.5 * (rising + recovery)], axis=1)
+    by_s, by_r, by_x3, by_move = np.stack([recovery, rising, 0.5 * (rising + recovery)], axis=1)[:, PHASES]
     # Equal in r for both phases: otherwise the phase with less noise would win every hold.
     even = mean / m.g1, mean / m.gu, 1.0
     each = [_motion(mode, kind, dt_s, even[phase], t) for mode, (phase, kind) in enumerate(_MODE_KINDS)]
-    motions = dict(zip(("way_s", "kept", "way_var", "way_speed", "speed_var", "speed"), np.array(each).T, strict=True))
+    way_s, kept, way_var, way_speed, speed_var, speed = np.array(each).T
+    rests, shakes_of, bend = _ONLY_REST, _ONLY_SHAKE, m.gu - m.g1
+    each_mode = {
+        "stays": 1.0 - rests,
+        "way_s": way_s,
+        "by_s": by_s - rests * by_move,  # what was left of the load has gone within the step
+        "by_r": by_r,
+        "by_x3": by_x3,
+        "by_v": by_move * way_s + shakes_of * (0.5 * bend * dt_s),
+        "by_move": by_move,
+        "x3_by_s": m.g3 * gone_3 - rests * (m.g3 * ramp_3),
+        "x3_by_v": m.g3 * ramp_3 * way_s,
+        "kept": kept,
+        "noise_ss": way_var,
+        "noise_sr": by_move * way_var,
+        "noise_sv": way_speed,
+        "noise_rr": by_move * by_move * way_var + t.drift**2 * dt_s,
+        "noise_rv": by_move * way_speed,
+        "noise_vv": speed_var,
+        "sign": _SIGNS,
+        "swings": shakes_of * (mean * t.swing_s) ** 2,
+    }
     after, lasts_s = _chain(t)
     leaves, shakes = -np.expm1(-dt_s / lasts_s), -math.expm1(-dt_s / t.calm_s)
     return record(
         Step,
         dt_s=dt_s,
-        **{"by_s": by_s, "by_r": by_r, "by_x3": by_x3, "by_move": by_move},
-        **{"x3_kept": 1.0 - gone_3, "x3_by_s": m.g3 * gone_3, "x3_by_move": m.g3 * ramp_3, "bend": m.gu - m.g1},
-        **motions,
+        **{name: np.tile(row, 2) for name, row in each_mode.items()},
+        **{"x3_kept": 1.0 - gone_3, "bend": bend, "speed": speed},
         **{"leaves": leaves, "after_down": after[0], "after_up": after[1], "after_rest": after[2]},
         **{
             "after_shake": after[3],
@@ -228,7 +261,7 @@ def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step
             "release": t.release,
             "usual": _usual(after, leaves, shakes),
         },
-        **{"unseen": t.unseen, "unseen_std": t.unseen_std, "swing": mean * t.swing_s, "swing_s": t.swing_s},
+        **{"unseen": t.unseen, "unseen_std": t.unseen_std, "swing_s": t.swing_s},
         **{"memory": t.memory, "drift_var": t.drift**2 * dt_s, "forget_s": t.forget_s},
         **{
             "bad_prior": math.log(max(t.bad_hz * dt_s / (3.0 * m.geq), 1e-300)),
@@ -298,6 +331,8 @@ def _usual(after: FloatArray, leaves: FloatArray, shakes: float) -> FloatArray:
     return np.linalg.solve(chain.T, _ONE)
 
 
+_ONLY_REST, _ONLY_SHAKE = np.eye(MODES)[[REST, SHAKE]]
+_SIGNS = np.array([0.0 if kind in (STILL, HELD) else -1.0 if phase == DOWN else 1.0 for phase, kind in _MODE_KINDS])
 _POOLS = np.array([2, *[UP, DOWN] * 5, 3])
 """row of :func:`_chain` of what follows on each mode"""
 _ONE = np.append(np.zeros(MODES - 1), 1.0)

@@ -68,30 +68,6 @@ class LinearReadout:
         error += few * np.abs(self.output)
         return error
 
-    def largest_volts_per_siemens(self, rows: int) -> float:
-        """Largest error of any output in V per S of error of the transfer conductances, for a grid of ``rows`` rows."""
-        return float(self._gain[1].max()) * (1.0 + abs(self.source / self.drive) * rows)
-
-    def cannot_saturate(self, transfer: FloatArray, error: float) -> bool:
-        """Whether all outputs of one frame certainly stay within the supply.
-
-        Transfer conductances are never negative. We use this because on many boards an output without signal is equal
-        to a limit of the supply, so that an error of either sign would seem to allow saturation.
-
-        Args:
-            transfer: (N, M) S.
-            error: S, bound on the error of each transfer conductance.
-
-        """
-        bounds = np.stack([np.maximum(transfer - error, 0.0), transfer + error])
-        signals = self._gain[0] * bounds
-        low, high = signals.min(axis=0), signals.max(axis=0)
-        others = -self.source / self.drive * signals.sum(axis=1)
-        rounded = output_rounding(transfer.shape) * (high - low).max(initial=0.0)
-        low = low + others.min(axis=0) + self.output - rounded
-        high = high + others.max(axis=0) + self.output + rounded
-        return bool((low >= self.supply[0]).all() and (high <= self.supply[1]).all())
-
     def read(self, known: Attenuated) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Outputs of frames by line attenuation, with bounds for each whole frame.
 

@@ -28,7 +28,8 @@ from ._lines import LineResistance
 MOST_WIRE = 2.0
 """resistance of a cell's lines over its own from which on it reads like a short"""
 _STANDS_OUT = 10.0  # port conductance over the usual one of its column, from which on a cell may be a short
-_SHORTED = 0.3  # ohm, of all cells of a column in parallel, if they are shorts, where columns have loads
+_FEW = 3  # rows, below which the usual one is that of all cells
+_SHORTED = 0.3  # ohm, of all cells of a column in parallel, if none of them stands out, where columns have loads
 ONE = 3.0
 """largest over least conductance of all answers, up to which they are one within their errors"""
 
@@ -70,9 +71,10 @@ class Answers:
         self._present = np.ascontiguousarray(~(broken_off(board) | np.isinf(board.series_ohms)))
         self._nowhere = np.zeros(board.shape, dtype=np.bool_)
         self._most = np.full(board.shape, 1.0 / LEAST_SHORT_OHM)
-        # Behind a virtual ground, bounds meet whatever a column's cells are in parallel.
-        shorted = LEAST_SHORT_OHM / board.shape[0] if board.circuit.virtual_ground else _SHORTED
-        self._column_most = 1.0 / (column_lead + to_end.min(axis=0) + shorted)
+        # If a cell of it stands out, and if none does. Behind a virtual ground, bounds meet in either case.
+        of_short = LEAST_SHORT_OHM / board.shape[0]
+        shorted = np.array([of_short, of_short if board.circuit.virtual_ground else _SHORTED])
+        self._column_most = 1.0 / (column_lead + to_end.min(axis=0) + shorted[:, None])
         self._least_ohm = least_ohm
 
     def __call__(
@@ -84,10 +86,10 @@ class Answers:
     ) -> tuple[FloatArray, FloatArray]:
         """Bounds (N, M) in S on the cells behind readings (N, M) in V that are known within an ``error`` in V.
 
-        No cell is taken to conduct more than the least resistance does, and no column behind a load together than a
-        short of 0.3 ohm.
-        Cells at a limit, cells that seem to conduct more than the most, and several of one row that stand out
-        from their columns may be shorts.
+        No cell is taken to conduct more than the least resistance does, and no column behind a load together more than
+        0.3 ohm, unless a cell of it may be a short. This is so of cells at a limit, cells that seem to conduct more
+        than the most, and several of one row that stand out from their columns, on boards of one or two rows from all
+        cells.
 
         Args:
             volts: readings.
@@ -100,12 +102,15 @@ class Answers:
         drives = law.drive[0] + law.drive[1] * volts
         own, share = ((part[0] + part[1] * volts) / drives for part in (law.current, law.potential))
         driven = own + share * own.sum(axis=0) / np.maximum(1.0 - share.sum(axis=0), LEAST)
-        usual = np.sort(driven, axis=0)[(rows - 1) // 2]
+        few = rows < _FEW  # tell nothing of what is usual in their column
+        usual = np.sort(driven.reshape(-1, 1) if few else driven, axis=0)
+        usual = usual[(len(usual) - 1) // 2]
         short = driven > _STANDS_OUT * np.maximum(usual, 0.0)
         short &= (np.count_nonzero(short, axis=1) > 1)[:, None]
         limited = np.ascontiguousarray(short if limited is None else limited | short)
         under_range = self._nowhere if under_range is None else under_range
-        most, column_most = self._most, self._column_most
+        most = self._most
+        column_most = np.where(limited.any(axis=0), self._column_most[0], self._column_most[1])
         if self._least_ohm:
             low = limited | (driven * (self._least_ohm + self._lead[:, None]) >= 1.0)
             most = np.where(low, most, np.minimum(most, 1.0 / self._least_ohm))

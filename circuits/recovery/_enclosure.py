@@ -131,12 +131,12 @@ def enclose(
         of_columns: (3, M), ``pull`` (N,) ohm, ``of_cells`` (6, N, M) and ``pairs`` (3, M, M): what is given of a board.
         shared: (N, M, M) ohm of wire that two cells of a row share on the way to its driver.
         boards: one board.
-        work: (9, N, M), changed, as ``by_steps`` (3, N, N), ``in_columns`` (5, M) and ``in_rows`` (3, N).
+        work: (10, N, M), changed, as ``by_steps`` (5, N, N), ``in_columns`` (5, M) and ``in_rows`` (3, N).
         change: written, as ``least`` and ``greatest`` in S: 0 and infinite at cells that are not unknown.
     """
     board, rows, columns = boards[0], volts.shape[0], volts.shape[1]
     per_sum, below, above, potential, row = work[0], work[1], work[2], work[3], work[4]
-    low, high, added, ordinary = work[5], work[6], work[7], work[8]
+    low, high, added, ordinary, along = work[5], work[6], work[7], work[8], work[9]
     width, rough, low_sum = in_columns[0], in_columns[1], in_columns[2]
     floating = board.floating > 0.0
     some, usual = False, 0.0
@@ -221,8 +221,7 @@ def enclose(
     for j in range(columns):
         in_columns[3, j] = 0.0
         for i in range(rows):
-            if not limited[i, j]:  # the current of the column's other cells leaves by their idle rows
-                in_columns[3, j] += max(driven[i, j], 0.0)
+            in_columns[3, j] += above[i, j] if limited[i, j] else max(driven[i, j], 0.0)
     more, less = change, least
     for i in range(rows):
         highest = 0.0
@@ -233,8 +232,9 @@ def enclose(
             more[i, j], less[i, j] = max(above[i, j] - driven[i, j], 0.0), max(driven[i, j] - below[i, j], 0.0)
             if board.holds > 0.0 and limited[i, j]:
                 into_end = of_cells[INTO_END, i, j]
-                if board.saturates > 0.0:
-                    into_end = min(into_end + in_columns[3, j], of_cells[SHORT, i, j])
+                if board.saturates > 0.0:  # currents leave by the idle rows of the column's other cells, too
+                    beside, short = max(in_columns[3, j] - above[i, j], 0.0), of_cells[SHORT, i, j]
+                    into_end = min(into_end + beside / (1.0 + beside / short), short)
                 more[i, j] = max(into_end - apart[i, j] * (abs(drives[i, j]) / full), 0.0)
         for j in range(columns):
             row[i, j] = min(max(1.0 - lost_along(shared, ordinary, i, j), _LEAST_LEFT), 1.0)
@@ -246,7 +246,7 @@ def enclose(
             low[i, j] = min(max(lowest, 0.0), row[i, j])
     for i in range(rows):
         for j in range(columns):
-            added[i, j] = 0.0
+            added[i, j], along[i, j] = 0.0, 0.0
     if board.joins > 0.0:
         added_between(
             limited,
@@ -275,12 +275,14 @@ def enclose(
             least,
             greatest,
             added,
+            along,
         )
     for j in range(columns):
         # The laws with the rows' bounds: `fine` where the column's scale is known, else by its sum.
         left, left_high, left_low, sum_usual, sum_high, sum_low = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
         for i in range(rows):
             added[i, j] /= abs(drives[i, j])
+            along[i, j] = along[i, j] / abs(drives[i, j]) + added[i, j]
             up, down = row[i, j] / low[i, j] if low[i, j] > 0.0 else math.inf, row[i, j] / high[i, j]
             own, of_column, more_here = apart[i, j] / row[i, j], share[i, j] / row[i, j], added[i, j]
             left -= of_column
@@ -291,29 +293,31 @@ def enclose(
             sum_high += more_here / low[i, j] if more_here != 0.0 and low[i, j] > 0.0 else 0.0
             if more_here != 0.0 and not low[i, j] > 0.0:
                 sum_high = math.inf
-            sum_low += own * down - more_here / row[i, j]
+            sum_low += own * down - along[i, j] / row[i, j]
         total_usual = sum_usual / left if left != 0.0 else math.inf
         total_high = sum_high / left_high if left_high > 0.0 and left > 0.0 else math.inf
         total_low = sum_low / left_low if left_low != 0.0 else -math.inf
         for i in range(rows):
             up, down = row[i, j] / low[i, j] if low[i, j] > 0.0 else math.inf, row[i, j] / high[i, j]
-            own, of_column, more_here = apart[i, j] / row[i, j], share[i, j] / row[i, j], added[i, j]
+            own, of_column = apart[i, j] / row[i, j], share[i, j] / row[i, j]
+            # A current along the drive is part of the reading, and leaves less of it to the cell.
+            more_here, less_here = added[i, j], along[i, j]
             nominal = max(abs(driven[i, j]), TINY)
             if rough[j] > 0.0:
                 by_sum = per_sum[i, j] * width[j] / nominal if per_sum[i, j] != 0.0 and width[j] != 0.0 else 0.0
-                beside = by_sum + more_here / nominal
-                changed = max(up * (1.0 + beside) - 1.0, 1.0 - down * (1.0 - beside))
+                changed = up * (1.0 + by_sum + more_here / nominal) - 1.0
+                changed = max(changed, 1.0 - down * (1.0 - by_sum - less_here / nominal))
             else:
                 middle = own + (of_column * total_usual if of_column != 0.0 else 0.0)
                 highest = (own + more_here / row[i, j]) * up
-                lowest = (own - more_here / row[i, j]) * down
+                lowest = (own - less_here / row[i, j]) * down
                 if of_column != 0.0:
                     highest += of_column * up * total_high
                     lowest += of_column * down * total_low
                 changed = max(highest - middle, middle - lowest) / max(abs(middle), TINY)
             changed = math.inf if math.isnan(changed) else max(changed, 0.0)
             change[i, j] = _MARGIN * changed * max(by_law[i, j] / max(estimate[i, j], TINY), 1.0)
-            least[i, j] = max(below[i, j] - more_here, 0.0) if limited[i, j] else 0.0
+            least[i, j] = max(below[i, j] - less_here, 0.0) if limited[i, j] else 0.0
             greatest[i, j] = math.inf
             if under_range[i, j] and low[i, j] > 0.0:
                 greatest[i, j] = (above[i, j] + more_here) / low[i, j]
@@ -347,16 +351,18 @@ def added_between(
     share: Rows,
     in_own_step: Rows,
     added: Rows,
+    along: Rows,
 ) -> None:
     """Add the A (N, M) into each column in each step that unknown cells may add, or keep away.
 
     Args:
         limited: and all further arguments up to ``breaks``: as of :func:`enclose`, and what it has found.
-        by_steps: (3, N, N), changed, as ``in_columns``, ``in_rows`` and all further arguments up to ``in_own_step``.
-        added: written.
+        by_steps: (5, N, N), changed, as ``in_columns``, ``in_rows`` and all further arguments up to ``in_own_step``.
+        added: written, where they flow either way; ``along`` where they flow as the drive would.
     """
     rows, columns = apart.shape
     leak, lifted, change, out = in_columns[4], by_steps[0], by_steps[1], by_steps[2]
+    raised, passed_on = by_steps[3], by_steps[4]  # the same of columns that stand between their source and the drive
     loose_sum, share_sum, conducting_sum = in_rows[0], in_rows[1], in_rows[2]
     own_steps, doubt, ties = False, False, False
     for j in range(columns):
@@ -398,8 +404,8 @@ def added_between(
             if unknown and loose[i, j] > _TIED:
                 tied += 1
             if conducting[i, j] > 0.0:
-                raised = row[i, j] / low[i, j] if low[i, j] > 0.0 else math.inf
-                conducting[i, j] = min(conducting[i, j] * raised, _MOST)
+                grown = row[i, j] / low[i, j] if low[i, j] > 0.0 else math.inf
+                conducting[i, j] = min(conducting[i, j] * grown, _MOST)
             loose_sum[i] += loose[i, j]
             share_sum[i] += share[i, j]
             conducting_sum[i] += conducting[i, j]
@@ -409,22 +415,33 @@ def added_between(
     for step in range(rows):
         for i in range(rows):
             lifted[step, i], change[step, i], out[step, i] = 0.0, 0.0, 0.0
+            raised[step, i], passed_on[step, i] = 0.0, 0.0
             if i == step:
                 continue
-            up, by_loose, own, passed = 0.0, 0.0, 0.0, 0.0
+            up, by_loose, passed = 0.0, 0.0, 0.0
             for j in range(columns):
                 up += potential[step, j] * share[i, j]
                 by_loose += potential[step, j] * loose[i, j]
-                own += in_own_step[step, j] * (loose[i, j] + share[i, j])
-                passed += (potential[step, j] + in_own_step[step, j]) * conducting[i, j]
+                passed += potential[step, j] * conducting[i, j]
+                own, own_passed = (
+                    in_own_step[step, j] * (loose[i, j] + share[i, j]),
+                    in_own_step[step, j] * conducting[i, j],
+                )
+                if limited[step, j]:
+                    raised[step, i] += own
+                    passed_on[step, i] += own_passed
+                else:
+                    by_loose += own
+                    passed += own_passed
             lifted[step, i], out[step, i] = up, passed
-            change[step, i] = by_loose + up * loose_sum[i] + own
+            change[step, i] = by_loose + up * loose_sum[i]
     for step in range(rows):
         for i in range(rows):
             for j in range(columns):
                 # What a row that follows such a cell takes, or does not.
                 by_row = loose_sum[i] * conducting[i, j] + conducting_sum[i] * loose[i, j]
                 added[step, j] += change[step, i] * conducting[i, j] + out[step, i] * loose[i, j]
+                along[step, j] += raised[step, i] * conducting[i, j] + passed_on[step, i] * loose[i, j]
                 added[step, j] += potential[step, j] * by_row
                 if doubt and linear[i, j] > _UNCLEAR and not limited[i, j]:
                     unsure = min(linear[i, j], _MOST) * usual_conductance(by_law, estimate, above, under_range, i, j)
@@ -460,13 +477,15 @@ def added_between(
         for j in range(columns):
             if math.isnan(added[step, j]):
                 added[step, j] = 0.0
+            if math.isnan(along[step, j]):
+                along[step, j] = 0.0
 
 
 def work_for(rows: int, columns: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """What :func:`enclose` changes, for a board of N x M cells."""
     return (
-        np.empty((9, rows, columns)),
-        np.empty((3, rows, rows)),
+        np.empty((10, rows, columns)),
+        np.empty((5, rows, rows)),
         np.empty((5, columns)),
         np.empty((3, rows)),
     )
@@ -523,9 +542,14 @@ class Enclosure:
                 whole = board.shared_by >= columns
                 into_end = into_idle if whole else np.maximum(into_end, into_idle)
         of_cells[INTO_END], of_cells[IN_OWN_STEP] = into_end, in_own_step
-        apart = behind + LEAST_SHORT_OHM
-        pairs[PASSES_ON] = behind[:, None] / (apart[:, None] + apart)  # share of a current that a joined column takes
-        pairs[DRIVEN_APART] = np.abs(source[:, None] - source) / (apart[:, None] + apart)  # A between joined columns
+        # The other one of two joined columns ends as idle columns do, where columns are read one by one.
+        in_turns = one_by_one and not follows
+        idle, idle_source = (board.idle_resistance + law.wire, 0.0 * source) if in_turns else (behind, source)
+        idle = np.minimum(idle, 1.0 / TINY)[:, None]
+        apart, apart_idle = behind + 2.0 * LEAST_SHORT_OHM, idle.T + 2.0 * LEAST_SHORT_OHM
+        into, away = idle / (idle + apart), behind[:, None] / (behind[:, None] + apart_idle)
+        pairs[PASSES_ON] = np.maximum(into, away)  # share of a current that a joined column takes
+        pairs[DRIVEN_APART] = np.abs(idle_source[:, None] - source) / (idle + apart)  # A between joined columns
         most_beside = 1.0 / (law.wire[:, None] + law.wire + 2.0 * LEAST_SHORT_OHM)  # S, from column to column
         pairs[BESIDE] = (hidden.T.astype(np.float64) @ hidden) * most_beside
         pairs[:, np.arange(columns), np.arange(columns)] = 0.0

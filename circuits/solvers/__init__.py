@@ -5,11 +5,9 @@
 :mod:`._dissection`       nested dissection of plain grids, for whole frames and batches of frames
 :mod:`._network`          nested dissection of any resistor network: bridged lines, continuous sheets
 :mod:`._ports`            a grid's port conductances and transfer conductances by the two above
-:mod:`._banded`           banded Cholesky factorisation, for small grids
 :mod:`._ladders`          ladder networks (single lines with their cells) by continued fractions
-:mod:`._attenuation`      the first term of a Neumann series in closed form, with a certificate
-:mod:`._sequence`         sequences of frames, by interpolation of the error of attenuation, with a certificate
-:mod:`._exact`            transfer conductances by the fastest exact method
+:mod:`._attenuation`      the first term of a Neumann series, with a certificate
+:mod:`._exact`            transfer conductances, with a bound on each one's rounding error
 ========================  ==============================================================================================
 """
 
@@ -18,7 +16,6 @@ from ._elimination import ULP, Rounded, eliminate_leading, inverted
 from ._exact import entrywise, exact_transfer, series_conductance
 from ._network import Element, Network, reduce
 from ._ports import IDEAL_WIRE, LARGEST_PART, Lines, has_ideal_lines, port_conductances
-from ._sequence import SequenceTransfer, sequence_transfer
 from ._siemens import siemens
 
 __all__ = [
@@ -30,7 +27,6 @@ __all__ = [
     "Lines",
     "Network",
     "Rounded",
-    "SequenceTransfer",
     "Wires",
     "attenuate",
     "eliminate_leading",
@@ -40,7 +36,6 @@ __all__ = [
     "inverted",
     "port_conductances",
     "reduce",
-    "sequence_transfer",
     "series_conductance",
     "siemens",
 ]

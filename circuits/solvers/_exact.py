@@ -1,4 +1,4 @@
-"""Exact transfer conductances of a grid, by the fastest method that fits it, and a bound on their rounding errors."""
+"""Exact transfer conductances of a grid, and a bound on their rounding errors."""
 
 from __future__ import annotations
 
@@ -7,25 +7,17 @@ from math import inf
 import numpy as np
 
 from ...common.arrays import FloatArray
-from . import _banded
 from ._ports import Lines, has_ideal_lines, transfer_conductances
 
 
 def exact_transfer(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
     """Transfer conductances (..., N, M) in S, and a bound in S on the rounding error of each.
 
-    A single small frame is solved by banded Cholesky factorisation, all others by nested dissection
-    (:func:`._ports.transfer_conductances`).
-
     Args:
         conductance: (..., N, M) S of the cells.
         grid: the lines; their exits are the conductances that the columns end in.
 
     """
-    if conductance.size <= _banded.LARGEST and conductance.ndim == 2 and not has_ideal_lines(grid):
-        small = _banded.transfer(conductance, grid)
-        if small is not None:
-            return small
     transfer, relative = transfer_conductances(conductance, grid)
     return transfer, _transfer_error(conductance, grid, transfer, relative)
 
