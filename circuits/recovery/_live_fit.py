@@ -36,16 +36,27 @@ from ._live_reading import (
     NO_CURRENT,
     SATURATED,
     SIGMAS,
-    UNCERTAIN,
     UNSETTLED,
     Frame,
     ValidityRule,
 )
-from ._measured import constants_of, state_each
+from ._measured import constants_of
 from ._node_blocks import NodeBlocks
 from ._quick_model import QuickModel, with_resistance
 from ._sheet_model import SheetModel
-from ._usual_fits import FAR, HARDLY_KNOWN, NO_FIT, PER_ERROR, PER_SHARE, SETTLED, SHORT_SHARE, SMALL, STRIDE, UsualFits
+from ._usual_fits import (
+    FAR,
+    HARDLY_KNOWN,
+    NO_FIT,
+    SETTLED,
+    SHORT_SHARE,
+    SMALL,
+    STRIDE,
+    UsualFits,
+    each_distance,
+    each_tied,
+    state_fitted,
+)
 
 STEPS, FIRST_STEPS = 5, 60
 """evaluations of the model in one frame, and in the first one of all"""
@@ -115,16 +126,15 @@ class _Linear(NamedTuple):
 
     def distance(self, log: FloatArray, std: FloatArray) -> FloatArray:
         """(n,) change of the logarithms since then, of which their own errors count only as they tie lines."""
-        change = np.abs(log - self.log)
-        by_ties = np.minimum(change, self.tied(log, self.log))
-        return np.maximum(change / np.maximum(PER_ERROR / FAR * std, 1.0), by_ties)
+        by = np.empty(len(log))
+        each_distance.unchecked(log, self.log, std, self.behind, by)
+        return by
 
     def tied(self, one: FloatArray, other: FloatArray) -> FloatArray:
-        """(n,) by how much cells tie their lines at ``other`` logarithms than at ``one``: shares, in units of a change.
-
-        As :func:`._usual_fits.tied` of each.
-        """
-        return PER_SHARE * np.abs(_tying_share(one, self.behind) - _tying_share(other, self.behind))
+        """(n,) by how much cells tie their lines at ``other`` logarithms than at ``one``."""
+        by = np.empty(len(one))
+        each_tied.unchecked(one, other, self.behind, by)
+        return by
 
 
 class _Corners(NamedTuple):
@@ -230,13 +240,9 @@ class FitLive:
         A reading that says no more than a bound does not count. A reading at a limit that no cell can pass, as a
         divider's at the drive, is one like any other.
         """
-        volts, noise, limited, under_range = frame.volts, frame.noise, frame.limited, frame.under_range
+        volts, noise = frame.volts, frame.noise
         signal, error = np.abs(volts - self._board.level), self._half_step + SIGMAS * noise
-        unread = self._hidden.copy()
-        if limited is not None:
-            unread |= limited & (signal + error < self._full)
-        if under_range is not None:  # a reading near zero is one like any other
-            unread |= under_range & (signal > error)
+        unread = self.unread(frame) | self._hidden
         small = self._cells <= MOST_BESIDE
         short = signal >= SHORT_SHARE * self._short
         # No way between two lines conducts better than a short of their ends.
@@ -261,11 +267,23 @@ class FitLive:
         found = self._fit(volts.ravel(), hypot(1.0, noise / self._std), start)
         if found is None:
             return self._nothing(frame, DISTURBED if short.any() else UNSETTLED, unread | short)
-        return self._reading(frame, error, *found, self._spread(found[0], unread), unread)
+        return self._reading(frame, *found, self._spread(found[0], unread), unread)
 
-    def bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def unread(self, frame: Frame) -> BoolArray:
         """As :class:`._usual_fits.Fit`."""
-        return self._short, self._least.reshape(self._shape), self._most.reshape(self._shape)
+        signal, error = np.abs(frame.volts - self._board.level), self._half_step + SIGMAS * frame.noise
+        unread: BoolArray = np.zeros(self._shape, dtype=np.bool_)
+        if frame.limited is not None:
+            unread |= frame.limited & (signal + error < self._full)
+        if frame.under_range is not None:  # a reading near zero is one like any other
+            unread |= frame.under_range & (signal > error)
+        return unread
+
+    def bounds(self) -> tuple[FloatArray, ...]:
+        """As :class:`._usual_fits.Fit`."""
+        wide = np.full(self._shape, inf) if self._nodes is None else SHORT_SHARE * self._short
+        least, most = self._least.reshape(self._shape), self._most.reshape(self._shape)
+        return self._short, least, most, self._beyond, wide
 
     def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray] | None:
         """As :class:`._usual_fits.Fit`."""
@@ -626,7 +644,7 @@ class FitLive:
         """
         std = np.sqrt(np.einsum("ij,ij->i", inverse, inverse))
         counted = (self._read > 0.0) & self._present & (BY_STEPS * std < _SINGLY)
-        share = _tying_share(log, self._behind(self._cells_at(log)))
+        share = 1.0 / (1.0 + np.exp(-log) / self._behind(self._cells_at(log)))  # that changes the potentials of lines
         weight = np.where(counted, share * (1.0 - share), 0.0)
         most = weight
         for _ in range(_POWERS):  # to the largest eigenvector of the covariance, so weighted
@@ -680,7 +698,6 @@ class FitLive:
     def _reading(
         self,
         frame: Frame,
-        error: float,
         log: FloatArray,
         std: FloatArray,
         misfit: float,
@@ -688,36 +705,22 @@ class FitLive:
         unread: BoolArray,
     ) -> Measurement:
         """Values, uncertainties, validity and reasons of cells that give the readings."""
-        board, shape, noise = self._board, self._shape, frame.noise
+        board, shape = self._board, self._shape
         signal, std = np.abs(frame.volts - board.level), std.reshape(shape)
         slope = np.abs(board.circuit.log_conductance_slope(board, signal * np.sign(board.drive)))
-        own = np.where(slope > 0.0, error * slope, 1.0)
-        coarser = hypot(1.0, noise / self._std)
-        sigmas = hypot(BY_STEPS, BY_NOISE * noise / self._std) / coarser * max(misfit, 1.0)
-        uncertainty = own + np.expm1(np.minimum(np.maximum(sigmas * std - own, 0.0), _LARGEST))
-        uncertainty += np.expm1(np.minimum(spread.reshape(shape), _LARGEST))
+        more = np.expm1(np.minimum(spread.reshape(shape), _LARGEST))
         if self._several and (unread.any() or not self._one_answer(log)):
-            uncertainty = np.full(shape, inf)
+            more = np.full(shape, inf)
         if self._sheet is not None:
-            uncertainty = uncertainty + self._sheet.doubt(log)
-        known, short = ~(unread | self._gone) & (signal > error), signal >= SHORT_SHARE * self._short
-        valid = self._rule.accepts(uncertainty) & known
-        reason: NDArray[np.int8] = np.full(shape, UNCERTAIN, dtype=np.int8)
-        if (unread | short).any():
-            reason[own < self._rule.limit] = DISTURBED
-        reason[signal <= error] = NO_CURRENT
-        reason[unread | short] = SATURATED
+            more = more + self._sheet.doubt(log)
+        under_range: BoolArray = np.zeros(shape, dtype=np.bool_)
         if frame.under_range is not None:
-            reason[frame.under_range] = NO_CURRENT
-        reason[self._gone] = HIDDEN
-        reason[valid] = 0
-        total = np.where(valid | (reason == UNCERTAIN), uncertainty, inf)
-        of_own = np.where(slope > 0.0, slope, inf)
-        every = np.maximum(std / (coarser * self._std), of_own)
-        measured = Measurement.unknown(frame.each.shape)
-        state_each.unchecked(
-            *(np.exp(log).reshape(shape), total, of_own, every, reason, frame.each, frame.usual),
-            *(self._constants, measured.block, measured.reason),
+            under_range = frame.under_range
+        measured, per_volt = Measurement.unknown(frame.each.shape), np.where(slope > 0.0, slope, inf)
+        found = frame.volts, board.level, np.exp(log).reshape(shape), std, per_volt, more, misfit
+        state_fitted.unchecked(
+            *(*found, self._short, unread, under_range, self._gone, self._std, self._constants),
+            *(frame.noise, frame.usual, frame.each, measured.block, measured.reason),
         )
         return measured
 
@@ -731,12 +734,6 @@ class FitLive:
         nothing = Measurement.unknown(frame.each.shape)
         nothing.reason[...] = self._turn(reason)
         return nothing
-
-
-def _tying_share(log: FloatArray, behind: FloatArray) -> FloatArray:
-    """G Z / (1 + G Z), by which cells change the potentials of their lines, which others see by an impedance in ohm."""
-    share: FloatArray = 1.0 / (1.0 + np.exp(-log) / behind)
-    return share
 
 
 def _factored(jacobian: FloatArray, damping: float = 0.0) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ...common.compiled import Blocks, Reasons, Record, Records, Rows, loop, zeros
+from ...common.compiled import Blocks, Reasons, Record, Records, loop, zeros
 from ...common.measurement import (
     COLUMN_HALF_STEP,
     COLUMN_STD,
@@ -15,7 +15,6 @@ from ...common.measurement import (
     NOISE_VARIANCE,
     UNCERTAINTY,
 )
-from ...common.noise import constant_part
 from .._adc import adc_error
 from .._board import Board
 from ._live_reading import UNCERTAIN, ValidityRule
@@ -124,40 +123,6 @@ def state_one(
     block[COLUMN_HALF_STEP, row, column] = conductance * shared_steps
     block[LEAST, row, column] = 0.0
     block[GREATEST, row, column] = math.inf
-
-
-@loop
-def state_each(
-    conductance: Rows,
-    uncertainty: Rows,
-    own: Rows,
-    every: Rows,
-    why: Reasons,
-    frame_noise: Rows,
-    usual: float,
-    boards: Records[Constants],
-    block: Blocks,
-    reason: Reasons,
-) -> None:
-    """Write what is known of all cells (N, M) in line coordinates, whose readings do not scale their columns.
-
-    Args:
-        conductance: and the next three arguments as of :func:`state_one`.
-        why: cells are not valid.
-        frame_noise: V, of each reading, in the array's coordinates; ``usual`` of the others.
-        boards: the constants.
-        block: written, as ``reason``: in the array's coordinates.
-
-    """
-    board, rows, columns = boards[0], conductance.shape[0], conductance.shape[1]
-    half_step = 0.5 * board.step * constant_part(usual / board.step)
-    for i in range(rows):
-        for j in range(columns):
-            row, column = (columns - 1 - j, rows - 1 - i) if board.turned > 0.0 else (i, j)
-            reason[row, column] = why[i, j]
-            block[LEAST, row, column], block[GREATEST, row, column] = 0.0, math.inf
-            values = conductance[i, j], uncertainty[i, j], own[i, j], 0.0, every[i, j], frame_noise[row, column]
-            state_one(block, reason, row, column, *values, usual, half_step, rows, board)
 
 
 def constants_of(board: Board, rule: ValidityRule, **others: float) -> Records[Constants]:

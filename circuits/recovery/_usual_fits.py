@@ -1,8 +1,8 @@
 """Usual frames of boards with floating or pulled rows, from volts to a :class:`Measurement` in one kernel.
 
 A step of :mod:`._live_fit` is a product of a kept matrix and the residuals (chord method). Usual are frames in which no
-reading stands at a limit or reads like a short, and one or two such steps lead to cells whose remaining error, by the
-next step, is a fraction of their uncertainty. :class:`._live_fit.FitLive` takes all other frames and makes the matrix.
+reading states a bound only, and one or two such steps lead to cells whose remaining error, by the next step, is a
+fraction of their uncertainty. :class:`._live_fit.FitLive` takes all other frames and makes the matrix.
 
 The model is that of a grid with ideal lines behind leads. Rows are eliminated in closed form, and the columns' nodal
 matrix is inverted once: with A = 1/a the inverse of the rows' sums and Z that of the columns, T = A G Z is the transfer
@@ -17,14 +17,14 @@ from typing import Protocol
 
 import numpy as np
 
-from ...common.arrays import FloatArray
-from ...common.compiled import Blocks, FixedRow, Reasons, Records, Row, Rows, is_aside, loop
+from ...common.arrays import BoolArray, FloatArray
+from ...common.compiled import Blocks, FixedRow, FlagRows, Reasons, Records, Row, Rows, is_aside, loop
 from ...common.measurement import GREATEST, LEAST, Measurement
 from ...common.noise import constant_part
 from .._board import Board
 from ..readouts import columns_impedance
 from ._law_kernels import BY_NOISE, BY_STEPS, LARGEST
-from ._live_reading import NO_CURRENT, SIGMAS, UNCERTAIN, Frame
+from ._live_reading import DISTURBED, HIDDEN, NO_CURRENT, SATURATED, SIGMAS, UNCERTAIN, Frame
 from ._measured import Constants, state_one
 
 FAR = 0.5
@@ -50,9 +50,9 @@ STEPS = 3  # evaluations of the model in a frame
 IDLE, ROW_LEAD = range(2)
 """places of what is given for each row: S of its pull-down, and ohm of the lead before it; likewise of columns"""
 END, COLUMN_IDLE, SOURCE, OUTPUT, PER_AMPERE, GAIN, SPAN, REST = range(8)
-LOG, MODEL, MADE_AT, BEHIND, SHORT, LOWEST, HIGHEST = range(7)
+LOG, MODEL, MADE_AT, BEHIND, SHORT, LOWEST, HIGHEST, MOST_READ, WIDE = range(9)
 """of cells: logarithms and the model's volts there, logarithms at which the matrix was made, and ohm of the lines that
-each sees, V of a short, bounds
+each sees, V of a short, bounds, V that no cells give, and V from which on the structure of lines says no more
 """
 
 
@@ -132,12 +132,36 @@ def fitted_volts(
 
 
 @loop
-def tied(log: float, other: float, behind: float) -> float:
-    """By how much a cell ties its lines at an ``other`` logarithm: shares, in units of a change of a logarithm.
+def tying_share(log: float, behind: float) -> float:
+    """G Z / (1 + G Z), by which a cell G changes the potentials of its lines; others see these by Z ``behind``, ohm."""
+    return 1.0 / (1.0 + math.exp(-log) / behind)
 
-    A cell G changes the potentials of its lines, which others see by the impedance Z ``behind``, by G Z / (1 + G Z).
-    """
-    return PER_SHARE * abs(1.0 / (1.0 + math.exp(-log) / behind) - 1.0 / (1.0 + math.exp(-other) / behind))
+
+@loop
+def tied(log: float, other: float, behind: float) -> float:
+    """By how much a cell ties its lines at an ``other`` logarithm: shares, in units of a change of a logarithm."""
+    return PER_SHARE * abs(tying_share(log, behind) - tying_share(other, behind))
+
+
+@loop
+def distance(log: float, made_at: float, std: float, behind: float) -> float:
+    """Change of a logarithm since derivatives were made, of which its own error counts only as it ties lines."""
+    change = abs(log - made_at)
+    return max(change / max(PER_ERROR / FAR * std, 1.0), min(change, tied(log, made_at, behind)))
+
+
+@loop
+def each_tied(logs: FixedRow, others: FixedRow, behind: FixedRow, by: Row) -> None:
+    """Write :func:`tied` of each cell (n,)."""
+    for place in range(len(logs)):
+        by[place] = tied(logs[place], others[place], behind[place])
+
+
+@loop
+def each_distance(logs: FixedRow, made_at: FixedRow, std: FixedRow, behind: FixedRow, by: Row) -> None:
+    """Write :func:`distance` of each cell (n,)."""
+    for place in range(len(logs)):
+        by[place] = distance(logs[place], made_at[place], std[place], behind[place])
 
 
 @loop
@@ -153,6 +177,7 @@ def measure_fitted(
     converter: float,
     boards: Records[Constants],
     begun: bool,
+    nowhere: FlagRows,
     surely: float,
     usual: float,
     noise: Rows,
@@ -172,12 +197,13 @@ def measure_fitted(
         volts: readings.
         solver: (N M, N M) 1/V, changes by each reading of all logarithms.
         spread: (N M,) standard deviations of the logarithms.
-        of_rows: and ``of_columns`` as of :func:`fitted_volts`; ``of_cells`` (7, N, M) by the places above, of which
+        of_rows: and ``of_columns`` as of :func:`fitted_volts`; ``of_cells`` (9, N, M) by the places above, of which
             those of the last frame are changed.
         drive: V; ``level`` of the reference.
         converter: V, standard deviation of a reading by the converter's steps.
         boards: the constants.
         begun: whether the model's volts of the last frame are known.
+        nowhere: no cells.
         surely: V, noise of the readings that is rarely exceeded; ``usual`` best guess, ``noise`` of each one.
         grid: changed, as ``square``, ``ends``, ``sums``, ``log``, ``model`` and ``step``.
         block: written, as ``reason``: in the array's coordinates.
@@ -186,10 +212,11 @@ def measure_fitted(
     alone, work = board.one_by_one > 0.0, (grid, square, ends, sums)
     if not begun and not fitted_volts(of_cells[LOG], of_rows, of_columns, drive, alone, *work, of_cells[MODEL]):
         return False
-    coarser, count = math.hypot(1.0, surely / converter), rows * columns
+    coarser, count, error = math.hypot(1.0, surely / converter), rows * columns, board.half + SIGMAS * surely
     for i in range(rows):
         for j in range(columns):
-            if abs(volts[i, j] - level) >= SHORT_SHARE * of_cells[SHORT, i, j]:
+            signal = abs(volts[i, j] - level)
+            if signal > of_cells[MOST_READ, i, j] + error or signal >= of_cells[WIDE, i, j]:
                 return False
             log[i, j], model[i, j] = of_cells[LOG, i, j], of_cells[MODEL, i, j]
     settled = False
@@ -227,44 +254,109 @@ def measure_fitted(
         return False
     for i in range(rows):
         for j in range(columns):
-            far, made_at = abs(log[i, j] - of_cells[MADE_AT, i, j]), of_cells[MADE_AT, i, j]
-            if not far <= FAR * max(PER_ERROR / FAR * spread[i * columns + j], 1.0):
+            made_at, behind = of_cells[MADE_AT, i, j], of_cells[BEHIND, i, j]
+            if not distance(log[i, j], made_at, spread[i * columns + j], behind) <= FAR:
                 return False
-            if far > FAR and tied(log[i, j], made_at, of_cells[BEHIND, i, j]) > FAR:
-                return False
-    error, half_step = board.half + SIGMAS * surely, 0.5 * board.step * constant_part(usual / board.step)
-    sigmas = math.hypot(BY_STEPS, BY_NOISE * surely / converter) / coarser * max(misfit, 1.0)
+    conductance, std, per_volt, more = model, grid[0], grid[1], grid[2]
     for i in range(rows):
         for j in range(columns):
             place = i * columns + j
             of_cells[LOG, i, j], of_cells[MODEL, i, j] = log[i, j], model[i, j]
-            signal = volts[i, j] - level
-            above = signal - of_columns[REST, j]
+            conductance[i, j], more[i, j] = math.exp(log[i, j] + step[place]), 0.0
+            std[i, j] = spread[place] * math.exp(min(abs(log[i, j] - of_cells[MADE_AT, i, j]), 1.0))
+            above = volts[i, j] - level - of_columns[REST, j]
             slope = above * (1.0 - above / of_columns[GAIN, j] * of_columns[SPAN, j])
-            own, per_volt = 1.0, math.inf
-            if slope != 0.0:
-                per_volt = abs(1.0 / slope)
-                own = error * per_volt
-            std = spread[place] * math.exp(min(abs(log[i, j] - of_cells[MADE_AT, i, j]), 1.0))
-            told = own + math.expm1(min(max(sigmas * std - own, 0.0), LARGEST))
+            per_volt[i, j] = abs(1.0 / slope) if slope != 0.0 else math.inf
+    found = conductance, std, per_volt, more, misfit
+    flags = nowhere, nowhere, nowhere
+    state_fitted(volts, level, *found, of_cells[SHORT], *flags, converter, boards, surely, usual, noise, block, reason)
+    return True
+
+
+@loop
+def state_fitted(
+    volts: Rows,
+    level: float,
+    conductance: Rows,
+    std: Rows,
+    per_volt: Rows,
+    more: Rows,
+    misfit: float,
+    shorts: Rows,
+    unread: FlagRows,
+    under_range: FlagRows,
+    gone: FlagRows,
+    converter: float,
+    boards: Records[Constants],
+    surely: float,
+    usual: float,
+    noise: Rows,
+    block: Blocks,
+    reason: Reasons,
+) -> None:
+    """Write what is known of all cells (N, M) that give the readings.
+
+    Args:
+        volts: readings; ``level`` of the reference.
+        conductance: S.
+        std: standard deviation of its logarithm, by errors of ``coarser`` readings.
+        per_volt: 1/V, of each cell by its own reading if it were alone.
+        more: relative uncertainty by what derivatives leave out.
+        misfit: half steps and noise that the readings are off.
+        shorts: V, reading of a short of each cell.
+        unread: cells whose readings state bounds only; ``under_range`` upper ones.
+        gone: cells that a fault hides.
+        converter: V, standard deviation of a reading by the converter's steps.
+        boards: the constants.
+        surely: V, noise of the readings that is rarely exceeded; ``usual`` best guess, ``noise`` of each one.
+        block: written, as ``reason``: in the array's coordinates.
+    """
+    board, rows, columns = boards[0], volts.shape[0], volts.shape[1]
+    coarser, error = math.hypot(1.0, surely / converter), board.half + SIGMAS * surely
+    half_step = 0.5 * board.step * constant_part(usual / board.step)
+    sigmas = math.hypot(BY_STEPS, BY_NOISE * surely / converter) / coarser * max(misfit, 1.0)
+    disturbs = False
+    for i in range(rows):
+        for j in range(columns):
+            disturbs = disturbs or unread[i, j] or abs(volts[i, j] - level) >= SHORT_SHARE * shorts[i, j]
+    for i in range(rows):
+        for j in range(columns):
+            signal, own = abs(volts[i, j] - level), 1.0
+            if per_volt[i, j] < math.inf:
+                own = error * per_volt[i, j]
+            told = own + math.expm1(min(max(sigmas * std[i, j] - own, 0.0), LARGEST)) + more[i, j]
+            why = DISTURBED if disturbs and own < board.accuracy else UNCERTAIN
+            if signal <= error:
+                why = NO_CURRENT
+            elif told <= board.accuracy and not unread[i, j]:
+                why = 0
+            elif unread[i, j] or signal >= SHORT_SHARE * shorts[i, j]:
+                why = SATURATED
+            if under_range[i, j] and why != 0:
+                why = NO_CURRENT
+            if gone[i, j]:
+                why = HIDDEN
             row, column = (columns - 1 - j, rows - 1 - i) if board.turned > 0.0 else (i, j)
-            reason[row, column] = UNCERTAIN
-            if abs(signal) <= error:
-                reason[row, column], told = NO_CURRENT, math.inf
-            elif told <= board.accuracy:
-                reason[row, column] = 0
-            every = max(std / (coarser * converter), per_volt)
-            values = math.exp(log[i, j] + step[place]), told, per_volt, 0.0, every, noise[row, column]
+            reason[row, column] = why
+            told = told if why == 0 or why == UNCERTAIN else math.inf  # noqa: PLR1714 - Numba knows no sets
+            every = max(std[i, j] / (coarser * converter), per_volt[i, j])
+            values = conductance[i, j], told, per_volt[i, j], 0.0, every, noise[row, column]
             block[LEAST, row, column], block[GREATEST, row, column] = 0.0, math.inf
             state_one(block, reason, row, column, *values, usual, half_step, rows, board)
-    return True
 
 
 class Fit(Protocol):
     """What :class:`._live_fit.FitLive` keeps from frame to frame; logarithms are those of the conductances in S."""
 
-    def bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """V (N, M) of a short at each cell, and the least and greatest logarithms (N, M)."""
+    def bounds(self) -> tuple[FloatArray, ...]:
+        """V of a short at each cell, least and greatest logarithms, V that no cells give, and V beyond usual ones.
+
+        (N, M) each.
+        """
+        ...
+
+    def unread(self, frame: Frame) -> BoolArray:
+        """Cells (N, M) of a frame in line coordinates whose readings state bounds only."""
         ...
 
     def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray] | None:
@@ -301,8 +393,9 @@ class UsualFits:
         ):
             place[:] = given
         self._numbers = board.drive, board.level, converter
-        self._of_cells = np.empty((7, rows, columns))
-        self._of_cells[SHORT], self._of_cells[LOWEST], self._of_cells[HIGHEST] = fit.bounds()
+        self._of_cells = np.empty((9, rows, columns))
+        self._of_cells[SHORT:] = fit.bounds()
+        self._nowhere = np.zeros(board.shape, dtype=np.bool_)
         lines = np.empty((3, rows, columns)), np.empty((2, columns, columns)), np.empty(columns), np.empty(rows)
         self._work = *lines, np.empty((rows, columns)), np.empty((rows, columns)), np.empty(rows * columns)
         self._solver = np.empty((0, 0))
@@ -338,11 +431,13 @@ class UsualFits:
 
     def __call__(self, frame: Frame) -> Measurement | None:
         """As :attr:`.LiveRecovery.usual`."""
-        some = frame.limited is not None or frame.under_range is not None
-        if some or is_aside():  # arrays are quicker than a kernel in plain Python
-            return None
-        kept = self._fit.kept(frame.noise)
+        kept = None if is_aside() else self._fit.kept(frame.noise)  # arrays are quicker than a kernel in plain Python
         if kept is None:
+            return None
+        some = frame.limited is not None or frame.under_range is not None
+        if some or self._constants["turned"][0]:
+            frame = frame.in_lines(self._turn)
+        if some and self._fit.unread(frame).any():
             return None
         log, made_at, behind, solver, spread = kept
         begun = log is self._log
@@ -354,7 +449,7 @@ class UsualFits:
         measured = Measurement.unknown(frame.each.shape)
         given = solver, spread, self._of_rows, self._of_columns, self._of_cells, *self._numbers, self._constants
         done = measure_fitted.unchecked(
-            *(np.ascontiguousarray(self._turn(frame.volts)), *given, begun, frame.noise, frame.usual, frame.each),
+            *(frame.volts, *given, begun, self._nowhere, frame.noise, frame.usual, frame.each),
             *(*self._work, measured.block, measured.reason),
         )
         if not done:
