@@ -77,6 +77,7 @@ _BESIDE = 0.01  # conductance over the largest one of a column, from which on a 
 _OPENS = 0.1  # conductance of cells of unknown size over that of their column's end; derivatives leave its square out
 _TIES = 0.1  # share of a row's drive that a cell may take, from which on it ties the row to its column
 _MOST_TIED = 3  # cells whose intervals are gone through, corner by corner
+_PATH = 4  # points on the way of a cell of unknown size to a short
 _CORNER_STEPS, _CORNER_STEP = 8, 0.02  # steps to the cells at a corner, and change of a logarithm in the last one
 _TIED_STD = 0.4  # of the logarithm of such a cell: not valid, but derivatives are made anew when it moves
 _TIED_MOVES = 2.0  # most by which it may have moved by then
@@ -97,11 +98,12 @@ class _Linear(NamedTuple):
     """from readings (n,) in V to changes (n,) of the logarithms, by a factor of damping (Marquardt 1963)"""
     slope: FloatArray
     """(n,) 1/V, of each logarithm by its own reading if the cell were alone"""
-    std_at: Callable[[float], FloatArray]
-    """(n,) standard deviation of the logarithms by errors so many times those of ADC steps"""
+    std_at: Callable[[float], tuple[FloatArray, Callable[[FloatArray], FloatArray] | None]]
+    """(n,) standard deviation of the logarithms by errors so many times those of ADC steps; and ``solve`` for cells that
+    may have any size between nothing and a short, where it was made"""
     behind: FloatArray
     """(n,) ohm, that each cell sees of its lines where nothing drives them"""
-    known: dict[float, FloatArray]
+    known: dict[float, tuple[FloatArray, Callable[[FloatArray], FloatArray] | None]]
     """results of ``std_at``"""
     inverse: FloatArray | None = None
     """(n, n) the matrix of ``solve``, transposed, where it was made"""
@@ -110,6 +112,14 @@ class _Linear(NamedTuple):
 
     def std(self, coarser: float) -> FloatArray:
         """The same, computed once for errors that are nearly alike."""
+        return self._known(coarser)[0]
+
+    def left(self, apart: FloatArray, coarser: float) -> FloatArray:
+        """(n,) change of the logarithms by readings (n,) in V that are left, if hardly known cells follow them."""
+        solve = self._known(coarser)[1]
+        return np.zeros(len(apart)) if solve is None else solve(apart)
+
+    def _known(self, coarser: float) -> tuple[FloatArray, Callable[[FloatArray], FloatArray] | None]:
         kept = round(_ALIKE_ERRORS * np.log(coarser))
         if kept not in self.known:
             self.known[kept] = self.std_at(coarser)
@@ -279,7 +289,8 @@ class FitLive:
         found = self._fit(volts.ravel(), hypot(1.0, noise / self._std), start)
         if found is None:
             return self._nothing(DISTURBED if short.any() else UNSETTLED, unread | short)
-        return self._reading(signal, error, noise, *found, self._spread(found[0], unread), unread)
+        log, std, left, misfit = found
+        return self._reading(signal, error, noise, log, std, misfit, self._spread(log, unread) + np.abs(left), unread)
 
     def bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """As :class:`._usual_fits.Fit`."""
@@ -306,21 +317,32 @@ class FitLive:
     def _spread(self, log: FloatArray, unread: BoolArray) -> FloatArray:
         """Change (n,) of the logarithms over all conductances of the cells ``unread``, from their least to a short.
 
-        A cell changes a reading by a Moebius function of its conductance, hence most at the ends of its interval. The
-        others follow their readings there, by steps with the derivatives at hand; infinite where these do not end.
+        The others follow their readings, by steps with the derivatives at hand, through points at which the cell ties
+        its lines by equal differences; infinite where steps do not end. Between points they may be beyond them by an
+        eighth of their second differences.
         """
         if not unread.any() or np.count_nonzero(unread & ~self._hidden) > 1:  # several: by their corners
             return np.zeros(log.shape)
         assert self._linear is not None
         volts, known = self._at(log), self._linear.std(1.0) <= HARDLY_KNOWN
-        there = np.where(unread.ravel(), self._most, log)
-        for _ in range(_CORNER_STEPS):
-            step = self._linear.solve((volts - self._at(there)) * self._read, 0.0)
-            there = there + np.clip(step, -STRIDE, STRIDE)
-            left = np.abs(step)
-            if left[known].max(initial=0.0) < _CORNER_STEP:
-                return np.abs(there - log) + left
-        return np.full(log.shape, inf)
+        cell, behind = np.flatnonzero(unread), self._linear.behind
+        first, last = (_tying_share(ends, behind)[cell] for ends in (log, self._most))
+        path, most = [log], np.zeros(log.shape)
+        for part in range(1, _PATH + 1):
+            there, share = path[-1].copy(), first + (last - first) * part / _PATH
+            there[cell] = np.log(share / ((1.0 - share) * behind[cell])) if part < _PATH else self._most[cell]
+            for _ in range(_CORNER_STEPS):
+                step = self._linear.solve((volts - self._at(there)) * self._read, 0.0)
+                there = there + np.clip(step, -STRIDE, STRIDE)
+                left = np.abs(step)
+                if left[known].max(initial=0.0) < _CORNER_STEP:
+                    break
+            else:
+                return np.full(log.shape, inf)
+            path.append(there)
+            most = np.maximum(most, np.abs(there - log) + left)
+        most += np.abs(np.diff(path, 2, axis=0)).max(axis=0) / 8.0
+        return most
 
     def _closed_start(self, volts: FloatArray) -> FloatArray:
         """Logarithms (n,) as if each cell were alone."""
@@ -345,8 +367,11 @@ class FitLive:
 
     def _fit(
         self, volts: FloatArray, coarser: float, start: FloatArray | None
-    ) -> tuple[FloatArray, FloatArray, float] | None:
-        """Logarithms (n,), their standard deviation by ADC steps (n,), and the misfit; None: not settled."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
+        """Logarithms (n,), their standard deviation by ADC steps, change that is left, (n,) each, and the misfit.
+
+        None: not settled.
+        """
         steps, renewals = (STEPS, RENEWALS) if self._begun else (FIRST_STEPS, FIRST_RENEWALS)
         self._begun = True
         signal = volts.reshape(self._shape) - self._board.level
@@ -429,7 +454,7 @@ class FitLive:
         if not settled or self._linear is None:
             return None
         moved = np.exp(np.minimum(np.abs(log - self._linear.log), 1.0))
-        return log, self._linear.std(coarser) * moved, misfit
+        return log, self._linear.std(coarser) * moved, self._linear.left(apart, coarser), misfit
 
     def _follow_sheet(self, log: FloatArray, coarser: float) -> bool:
         """Solve the continuous sheet anew if its cells have moved; False: the fit goes on in the next frame."""
@@ -466,7 +491,7 @@ class FitLive:
         if self._nodes is not None and self._read.all() and not self._wide:
             by_nodes = self._nodes.at(cells, np.full(self._shape, _PRIOR))
             std = by_nodes.std.ravel()
-            return _Linear(log, by_nodes.solve, slope, lambda coarser: coarser * std, self._behind(cells), {})
+            return _Linear(log, by_nodes.solve, slope, lambda coarser: (coarser * std, None), self._behind(cells), {})
         jacobian, factor = self._normal(cells)
 
         def solve(apart: FloatArray, damping: float = 0.0) -> FloatArray:
@@ -519,7 +544,9 @@ class FitLive:
             return None
         return linear._replace(inverse=np.ascontiguousarray(dpotrs(factor, jacobian.T / self._std, lower=1)[0].T))
 
-    def _std_of(self, log: FloatArray, jacobian: FloatArray, coarser: float) -> FloatArray:
+    def _std_of(
+        self, log: FloatArray, jacobian: FloatArray, coarser: float
+    ) -> tuple[FloatArray, Callable[[FloatArray], FloatArray] | None]:
         """Standard deviations (n,) of the logarithms with derivatives (n, n) in errors of a reading, ``coarser`` ones.
 
         Two cells of unknown size that tie lines to each other, or whose readings say no more than a bound, are beyond
@@ -536,14 +563,19 @@ class FitLive:
         least = np.where(unread, self._pinned.ravel() - _TIED_MOVES, least)
         places = np.flatnonzero(tied)
         if len(places) < 2 or not np.isfinite(std).any():
-            return np.hypot(std, self._beyond_linear(log, inverse, jacobian, coarser))
+
+            def solve(apart: FloatArray) -> FloatArray:
+                step: FloatArray = inverse @ (inverse.T @ (jacobian.T @ apart)) / (coarser**2 * self._std)
+                return step
+
+            return np.hypot(std, self._beyond_linear(log, inverse, jacobian, coarser)), solve
         if len(places) > _MOST_TIED or self._cells > _SMALL or self._sheet is not None:
-            return np.full(len(std), inf)
+            return np.full(len(std), inf), None
         kept = self._corners
         if kept is None or not kept.serve(log, tied, self._read, least + _TIED_MOVES, coarser):
             beside = self._beside_tied(log, places, least, coarser)
             kept = self._corners = _Corners(log, tied, self._read, least, coarser, beside)
-        return np.where(tied, _TIED_STD, kept.std * np.exp(np.abs(log - kept.log)))
+        return np.where(tied, _TIED_STD, kept.std * np.exp(np.abs(log - kept.log))), None
 
     def _beside_tied(self, log: FloatArray, places: NDArray[np.intp], least: FloatArray, coarser: float) -> FloatArray:
         """Standard deviations (n,) of the others while cells ``places`` are anywhere from ``least`` (n,) to a short.
