@@ -418,7 +418,8 @@ def noise_of_all(ring: Rows, newest: int, board: BoardNoise, scratch: Rows, few:
     if board.since >= MEMORY or (min(shown, board.seen) >= board.before and board.confirmed >= CONFIRMED):
         board.before, board.since = min(shown, board.seen), 0.0
     board.since += 1.0
-    if mean > ROUNDED * board.seen and board.seen < CONTRADICTED * board.before:  # a noise that has paused is the likelier cause of changes of its size
+    # A noise that has paused is the likelier cause of changes of its size.
+    if mean > ROUNDED * board.seen and board.seen < CONTRADICTED * board.before:
         again = mean_change(ring, newest, 1, max(quantum, CLIP * board.before)) / (moving * MEAN_CHANGE)
         shown = max(shown, min(again, board.before))
     show_noise(board, few, shown, square, quantum, count)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..circuits import Design, Measured, Reason, adc_error, live_recovery, noise, volts_of_codes
+from ..circuits import Design, Frame, Reason, adc_error, live_recovery, noise, volts_of_codes
 from ..common.arrays import BoolArray, FloatArray
 from ..common.compiled import Rows, loop
 from ..common.measurement import Measurement
@@ -22,7 +22,7 @@ _GUARD = 6.0  # standard deviations of the noise, guard band: within it an outpu
 _JUMP = 1.0 / 16.0  # of the converter's codes, from one frame to the next: a larger change of a reading is a jump
 _ALIKE = 1.5  # ratio of noises up to which the judgement of a reading stays about the same
 _NEGLIGIBLE = 0.05  # ADC steps of noise that are negligible beside the half step
-_UNSETTLED, _NO_CURRENT = int(Reason.UNSETTLED), int(Reason.NO_CURRENT)
+_UNSETTLED = int(Reason.UNSETTLED)
 _ASSUMED = 0.5  # ADC steps of noise before anything is measured
 
 
@@ -55,8 +55,6 @@ class CountReader:
         self._shape = design.array.shape
         self._codes = 2**adc.bits
         self._recover = live_recovery(design, accuracy=accuracy, lowest_ohm=lowest_ohm)
-        scales = self._recover.scales_columns
-        self._measured = Measured(adc.step, design.board.shape[0], scales_columns=scales, averages=accuracy is None)
         self._step, self._lowest_volts = adc.step, float(volts_of_codes(design, np.zeros(1, dtype=np.int64))[0])
         # As arrays: NumPy converts a float to an array in every call, which takes as long as a small operation.
         low, high = design.readout.supply
@@ -161,34 +159,30 @@ class CountReader:
         self, counts: NDArray[np.integer], noise: float, limited: BoolArray | None, under_range: BoolArray | None
     ) -> Measurement:
         """The conductances of a frame, by the short way if it serves."""
+        frame = Frame(self._buffer, noise, *self._noise_of_each, limited, under_range)
         usual = self._recover.usual if self._noise.frames > 1 else None
-        found = None if usual is None else usual(self._buffer, noise, *self._noise_of_each, limited, under_range)
-        return self._recovered(counts, noise, limited, under_range) if found is None else found
+        found = None if usual is None else usual(frame)
+        return self._recovered(counts, frame) if found is None else found
 
-    def _recovered(
-        self, counts: NDArray[np.integer], noise: float, limited: BoolArray | None, under_range: BoolArray | None
-    ) -> Measurement:
-        """The conductances of any frame, by the whole circuit; arguments as of :class:`ohmskin.circuits.LiveRecovery`.
+    def _recovered(self, counts: NDArray[np.integer], frame: Frame) -> Measurement:
+        """The conductances of any frame, by the whole circuit.
 
         The last result holds while the same counts come, until the noise is another.
         """
         same = counts.tobytes()
         if self._kept is not None and same == self._counts and self._judged_with <= self._alike_noise:
             return self._kept
-        self._judged_with = noise
+        self._judged_with = frame.noise
         try:
-            found = self._recover(self._buffer, limited, noise, under_range=under_range)
+            found = self._recover(frame)
         except SolverError:
             return Measurement.unknown(counts.shape, Reason.UNSOLVED)
-        reason = found.reason if under_range is None else np.where(under_range, _NO_CURRENT, found.reason)
-        usual, each = self._noise_of_each
-        made = self._measured(found, reason, each, usual)
         # Cells that are unsettled, or judged before the noise was measured, may change with another frame like this;
         # so may all cells where none is known.
-        settled = not (reason == _UNSETTLED).any() and not np.isnan(found.resistance).all()
+        settled = not (found.reason == _UNSETTLED).any() and not np.isnan(found.conductance).all()
         final = self._noise.frames > 1 and settled and not self._in_doubt
-        self._counts, self._kept = same, made if final else None
-        return made
+        self._counts, self._kept = same, found if final else None
+        return found
 
     def _within_limits(self, guard: int) -> tuple[float, float]:
         """The first code within the limits and the first one beyond, with a guard band of ``guard`` codes."""

@@ -17,7 +17,7 @@ from ohmskin.cell.estimation import _filter as filters
 from ohmskin.cell.estimation import _modes as modes
 from ohmskin.cell.estimation._columns import RARE, WHITE, share_each
 from ohmskin.common.arrays import FloatArray
-from ohmskin.common.compiled import zeros
+from ohmskin.common.compiled import Records, zeros
 
 CELL = Cell.example()
 FULL_KPA = CELL.full_scale_kpa
@@ -428,6 +428,13 @@ def test_the_density_of_a_reading_is_that_of_the_mixture() -> None:
 # -- columns --
 
 
+def readings_of(r: FloatArray, variance: FloatArray, shared: FloatArray, held: float) -> Records[filters.Reading]:
+    made = zeros(filters.Reading, r.size)
+    made["known"], made["low"], made["high"], made["variance"] = 1.0, r, r, variance
+    made["shared"], made["held"] = shared, held
+    return made
+
+
 def test_a_cell_takes_no_part_in_what_its_column_shares_for_it() -> None:
     """Its own reading changes the corrections of the others, and none of its own; alone in a column it has none."""
     t, cells, watches = steps_of(0.01), zeros(filters.Estimates, 5), zeros(filters.Watch, 5)
@@ -436,11 +443,9 @@ def test_a_cell_takes_no_part_in_what_its_column_shares_for_it() -> None:
     watches["asleep"] = 1.0
 
     def corrected(reading: FloatArray) -> FloatArray:
-        low, high, var = reading.copy(), reading.copy(), np.full(5, 1e-6)
-        shared, held = np.full(5, 4e-3), np.zeros(5)
-        # cells 0, 2, 4 in a column, 1 and 3 in another
-        share_each(cells, watches, t, shared, held, np.ones(5), np.zeros(2), low, high, var, *np.empty((2, 5)))
-        return reading - low
+        readings = readings_of(reading, np.full(5, 1e-6), np.full(5, 4e-3), 0.0)
+        share_each(cells, watches, t, np.zeros(2), readings)  # cells 0, 2, 4 in a column, 1 and 3 in another
+        return reading - readings["low"]
 
     calm, off = corrected(np.zeros(5)), np.zeros(5)
     np.testing.assert_allclose(calm, 0.0, atol=1e-12)
@@ -460,26 +465,27 @@ def test_what_a_column_shares_is_the_posterior_of_the_other_cells(seed: int, out
     """Its mean and variance by the joint normal law of the column; a reading counts up to 3 deviations (Huber)."""
     random, t = np.random.default_rng(seed), steps_of(0.01)
     cells, watches = zeros(filters.Estimates, 6), zeros(filters.Watch, 6)
-    watches["asleep"], watches["centre"] = 1.0, random.normal(0.0, 0.1, 6)
+    watches["asleep"], watches["offset"] = 1.0, random.normal(0.0, 0.1, 6)
     shared, noise = random.choice([-1.0, 1.0], 6) * random.uniform(1e-3, 4e-3, 6), random.uniform(1e-6, 1e-5, 6)
     off = 0.5 * random.uniform(-1.0, 1.0, 6) * np.sqrt(noise)
     total = np.sqrt(noise + shared**2)
     if outlier:
         off[0] = 3.0 * total[0] * random.uniform(1.5, 4.0) * random.choice([-1.0, 1.0])
-    low, high, var = watches["centre"] + off, watches["centre"] + off, noise.copy()
-    share_each(cells, watches, t, shared, np.ones(6), np.ones(6), np.zeros(1), low, high, var, *np.empty((2, 6)))
+    readings = readings_of(watches["offset"] + off, noise, shared, 1.0)
+    share_each(cells, watches, t, np.zeros(1), readings)
+    low, high, var = readings["low"], readings["high"], readings["variance"]
     counted = np.clip(off, -3.0 * total, 3.0 * total)
     averaged = sum((WHITE * (1.0 - WHITE) ** n) ** 2 for n in range(1000))  # variance of the recent mean of white z
     inverse = np.linalg.inv(np.outer(shared, shared) + np.diag(noise))
     if abs(shared @ inverse @ counted) > RARE:  # a load on the whole column
-        np.testing.assert_allclose(low, watches["centre"] + off)
+        np.testing.assert_allclose(low, watches["offset"] + off)
         np.testing.assert_allclose(var, noise + shared**2)
         return
     for i in range(6):
         others = np.arange(6) != i
         joint = np.outer(shared[others], shared[others]) + np.diag(noise[others])
         gain = np.linalg.solve(joint, shared[others])
-        expected = watches["centre"][i] + off[i] - shared[i] * (gain @ counted[others])
+        expected = watches["offset"][i] + off[i] - shared[i] * (gain @ counted[others])
         assert low[i] == high[i] == pytest.approx(expected, abs=1e-12)
         left = 1.0 - gain @ shared[others]
         assert var[i] == pytest.approx(noise[i] + shared[i] ** 2 * (left + averaged))
@@ -558,6 +564,26 @@ def test_a_held_load_does_not_fade(cell: Cell) -> None:
     assert np.abs(error[100:]).max() < 0.02
     assert (np.abs(error) <= 2.0 * std)[100:].mean() > 0.97
     assert np.median(std) < 0.02
+
+
+@pytest.mark.parametrize("again", [0.04, 0.3])
+def test_a_cell_at_rest_sleeps_while_it_still_remembers_and_wakes_under_a_touch(again: float) -> None:
+    """What is left of the load fades as the model says: it is neither shown as a load, nor does it hide one."""
+    dt_s, time = 0.01, 0.01 * np.arange(1000)
+    touched = time >= 8.0
+    load = np.interp(time, [1, 1.2, 3, 3.2, 8, 8.05], [0, 0.7, 0.7, 0, 0, again])[:, None]
+    ohm = CELL.forward((1,)).run(np.full(time.size, dt_s), load * FULL_KPA)
+    noise = 5e-5
+    noisy = ohm * (1.0 + noise * np.random.default_rng(0).standard_normal(ohm.shape))
+    estimator, found, asleep = CELL.estimator((1,)), np.empty_like(load), np.empty(time.size, bool)
+    for n, frame in enumerate(noisy):
+        found[n], asleep[n] = estimator.step(dt_s, frame), estimator._watches["asleep"][0] > 0.0
+    remembered = ohm[:, 0] / CELL.rest_resistance_ohm - 1.0
+    late = (time > 5.0) & ~touched
+    assert asleep[late].mean() > 0.8
+    assert (remembered[late & asleep] > 10.0 * noise).any()
+    assert (found[asleep] == 0.0).all()
+    assert np.abs(found / FULL_KPA - load)[time > 8.15].max() < 0.02
 
 
 def test_a_gap_widens_the_deviation_until_readings_come_back() -> None:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 
 from ...common.compiled import Records, Row, loop
-from ._filter import Estimates, Watch, expects
+from ._filter import Estimates, Reading, Watch, expects
 from ._modes import Step
 
 RARE = 2.5
@@ -31,44 +31,40 @@ def share_each(
     cells: Records[Estimates],
     watches: Records[Watch],
     steps: Records[Step],
-    shared: Row,
-    held: Row,
-    known: Row,
     recent: Row,
-    low: Row,
-    high: Row,
-    var: Row,
-    off: Row,
-    spread: Row,
+    readings: Records[Reading],
 ) -> None:
-    """Take what columns share out of readings between ``low`` and ``high`` (n,), and add what stays to ``var`` (n,).
+    """Take what columns share out of readings (n,), and add what stays to the variance of their noise.
 
-    ``shared`` (n,): signed standard deviation h of the shared error; ``held`` (n,): the most of it that lasts, half a
-    step; ``recent`` (columns,): mean of late z; ``off`` and ``spread`` (n,): scratch.
+    ``recent`` (columns,): mean of late z.
     """
     columns, t = recent.size, steps[0]
-    for i in range(shared.size):
-        spread[i] = 0.0
-        if known[i] > 0.0 and shared[i] != 0.0:
+    for i in range(readings.size):
+        reading = readings[i]
+        reading.spread = 0.0
+        if reading.known > 0.0 and reading.shared != 0.0:
             mean, expected = expects(cells[i], watches[i], t)
-            width = high[i] - low[i]
-            spread[i] = expected + var[i] + width * width * (1.0 / 12.0)
-            most = CLIPPED * math.sqrt(spread[i] + shared[i] * shared[i])
-            off[i] = min(max(0.5 * (low[i] + high[i]) - mean, -most), most)
+            width = reading.high - reading.low
+            reading.spread = expected + reading.variance + width * width * (1.0 / 12.0)
+            most = CLIPPED * math.sqrt(reading.spread + reading.shared * reading.shared)
+            reading.off = min(max(0.5 * (reading.low + reading.high) - mean, -most), most)
     for k in range(columns):
         precision, told = 1.0, 0.0
-        for i in range(k, shared.size, columns):
-            if spread[i] > 0.0:
-                precision += shared[i] * shared[i] / spread[i]
-                told += shared[i] * off[i] / spread[i]
+        for i in range(k, readings.size, columns):
+            reading = readings[i]
+            if reading.spread > 0.0:
+                precision += reading.shared * reading.shared / reading.spread
+                told += reading.shared * reading.off / reading.spread
         recent[k] += WHITE * (told / precision - recent[k])
         loaded = abs(told / precision) > RARE
-        for i in range(k, shared.size, columns):
-            if spread[i] > 0.0:
-                others = precision - shared[i] * shared[i] / spread[i]
-                z = (told - shared[i] * off[i] / spread[i]) / others
-                lasting = shared[i] * recent[k] * (1.0 - 1.0 / others)
-                move = 0.0 if loaded else shared[i] * z - lasting + min(max(lasting, -held[i]), held[i])
-                low[i] -= move
-                high[i] -= move
-                var[i] += shared[i] * shared[i] * (1.0 if loaded else 1.0 / others + WHITE / (2.0 - WHITE))
+        for i in range(k, readings.size, columns):
+            reading = readings[i]
+            if reading.spread > 0.0:
+                shared = reading.shared
+                others = precision - shared * shared / reading.spread
+                z = (told - shared * reading.off / reading.spread) / others
+                lasting = shared * recent[k] * (1.0 - 1.0 / others)
+                move = 0.0 if loaded else shared * z - lasting + min(max(lasting, -reading.held), reading.held)
+                reading.low -= move
+                reading.high -= move
+                reading.variance += shared * shared * (1.0 if loaded else 1.0 / others + WHITE / (2.0 - WHITE))

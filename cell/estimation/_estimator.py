@@ -30,16 +30,15 @@ from ...errors import InputError
 from .._state import CellState
 from ..materials import ByStep
 from ._conditions import Conditions
-from ._filter import Candidates, Estimates, Pools, Watch
+from ._filter import Candidates, Estimates, Pools, Reading, Watch
 from ._frames import (
     AWAKE,
-    BEGINNING,
     BEGUN,
     FORGET_EVERY_S,
     READ,
-    SCRATCH,
     Clock,
     Settings,
+    middle,
     show_frames,
     take_frames,
 )
@@ -113,12 +112,12 @@ class Estimator:
         """(n,) 1 where the memory of the inversion is that of rest"""
         self._shown = np.full((2, count), np.nan)
         """(2, n) the last pressures in kPa, and their standard deviations"""
-        self._work = np.zeros((SCRATCH, count))
+        self._readings = zeros(Reading, count)
         self._state = (
             *(self._cells, self._befores, self._watches),
             *(zeros(Candidates, 1), zeros(Pools, 1), zeros(Estimates, 1)),
             *(self._settings, scale, self._clock, rest_resistance_ohm, self._sleeps, self._columns),
-            *(self._seen, self._work, self._states, conditions.rest_slope_kpa, self._shown),
+            *(self._seen, self._readings, self._states, conditions.rest_slope_kpa, self._shown),
         )
         """what the kernel of frames takes before the frames themselves"""
         self._one, self._begun = self._scratch(1), False
@@ -283,7 +282,8 @@ class Estimator:
         new, awake = (status & BEGUN).ravel().nonzero()[0], (status & AWAKE).ravel().nonzero()[0]
         if new.size and not self._alone:
             r_unit = self._settings["r_unit"][0]
-            inversion.begin(answers, memory, new, self._work[BEGINNING, new] * r_unit)
+            r = [middle(self._readings[i]) for i in new.tolist()]
+            inversion.begin(answers, memory, new, np.array(r) * r_unit)
         answers["level"] = level.ravel()
         if awake.size:
             inversion.advance(answers, memory, awake, dt_s[0])

@@ -122,13 +122,13 @@ ENTERS, ENTERS_VAR = 0.8, 0.36
 
 @loop
 def decay(x: float) -> float:
-    """exp(x) of x <= 0 to a relative error of 1e-12, in operations that a compiler does for several numbers at once."""
-    y = max(x, LEAST_LOG) * (1.0 / 1024.0)
-    series = (1.0 / 5040.0) * y + 1.0 / 720.0
-    series = (((series * y + 1.0 / 120.0) * y + 1.0 / 24.0) * y + 1.0 / 6.0) * y + 0.5
-    y = (series * y + 1.0) * y + 1.0
-    y = y * y
-    y = y * y
+    """exp(x) of x <= 0, to 1e-9 down to -10 and 2e-6 down to -32; at least exp(-88).
+
+    The series of exp(x/256), whose terms are summed in pairs, so that none waits for all others.
+    """
+    y = max(x, -88.0) * (1.0 / 256.0)
+    square = y * y
+    y = (1.0 + y) + square * ((0.5 + y * (1.0 / 6.0)) + square * (1.0 / 24.0 + y * (1.0 / 120.0)))
     y = y * y
     y = y * y
     y = y * y
@@ -147,9 +147,11 @@ def mass(z: float, bell: float) -> float:
     takes several times as long, by exponentials of its own.
     """
     x = abs(z)
-    above = ((0.0034137124178799327 * x + 0.03575450193849128) * x + 0.1684901690573697) * x + 0.41788844846365136
-    below = ((0.008556492980906077 * x + 0.08963991248159844) * x + 0.43059581096618055) * x + 1.140452334970459
-    tail = bell * (above * x + 0.5000000006490767) / ((below * x + 1.6336615620685102) * x + 1.0)
+    square = x * x
+    above = 0.5000000006490767 + 0.41788844846365136 * x
+    above += square * ((0.1684901690573697 + 0.03575450193849128 * x) + square * 0.0034137124178799327)
+    below = (1.0 + 1.6336615620685102 * x) + square * (1.140452334970459 + 0.43059581096618055 * x)
+    tail = bell * above / (below + square * square * (0.08963991248159844 + 0.008556492980906077 * x))
     return 1.0 - tail if z > 0.0 else tail
 
 
@@ -588,6 +590,31 @@ def begin(e: Estimates, r: float, geq: float, gu: float, g3: float) -> None:
     e.w[REST], e.w[1], e.w[2] = rests / (rests + held), 0.8 * held / (rests + held), 0.2 * held / (rests + held)
 
 
+class Reading(Record):
+    """What a frame says of a cell, and what the filter makes of it; scratch of a frame."""
+
+    known: float
+    """1: it was read; 0: not; -1: never"""
+    low: float
+    """the reading lies between these r"""
+    high: float
+    variance: float
+    """of its noise"""
+    slope: float
+    """dr/dG"""
+    shared: float
+    """signed standard deviation of the quantisation that its column shares, and the most of it that lasts"""
+    held: float
+    lasting: float
+    """variance of what else no average lessens"""
+    off: float
+    """scratch of :func:`.share_each`"""
+    spread: float
+    load: float
+    """mean, and its variance"""
+    load_variance: float
+
+
 class Watch(Record):
     """What is known of a cell beside its :class:`Estimates`."""
 
@@ -598,8 +625,9 @@ class Watch(Record):
     """1 while the cell is at rest and only watched"""
     offset: float
     """r by drift of the rest resistance, as the cell last slept; never changes under a load"""
-    centre: float
-    """mean reading of a sleeping cell"""
+    left: float
+    """r that is left of earlier loads while the cell sleeps, and the slow branch of it"""
+    left_x3: float
     cusum: float
     """Page's cumulative sum of its departures towards loads, in standard deviations"""
 
@@ -679,7 +707,7 @@ def follow(
 def expects(e: Estimates, watch: Watch, t: Step) -> tuple[float, float]:
     """Mean and variance of the next r of a cell, to first order in the step."""
     if watch.asleep > 0.0:
-        return watch.centre, 0.0
+        return watch.offset + watch.left, 0.0
     mean = spread = 0.0
     for j in range(MODES):
         mean += e.w[j] * e.r[j]
@@ -699,16 +727,11 @@ def step_each(
     pools: Records[Pools],
     trial: Records[Estimates],
     steps: Records[Step],
-    low: Row,
-    high: Row,
-    var: Row,
-    known: Row,
+    readings: Records[Reading],
     sleeps: Row,
     forget: float,
-    load: Row,
-    variance: Row,
 ) -> None:
-    """Take a frame of n cells; writes mean ``load`` (n,) and its ``variance`` (n,).
+    """Take a frame of n cells; writes loads.
 
     Args:
         cells: (n,) estimates; before a bad contact, if it is one, in ``befores``; and the rest of their states.
@@ -718,29 +741,26 @@ def step_each(
         pools: see ``scratch``.
         trial: see ``scratch``.
         steps: (1,) weights of the time step.
-        low: (n,) readings lie between ``low`` and ``high``.
-        high: see ``low``.
-        var: (n,) variance of their noise.
-        known: (n,) 1 where a cell is read, 0 where it is not, -1 where it has never been.
+        readings: (n,)
         sleeps: (n,) 1 where a cell may sleep.
         forget: share of the evidence for modes that is kept.
-        load: written.
-        variance: written.
+
     """
     t, c, p = steps[0], scratch[0], pools[0]
     for i in range(cells.size):
-        if known[i] < 0.0:
+        reading = readings[i]
+        known, width, var = reading.known > 0.0, reading.high - reading.low, reading.variance
+        if reading.known < 0.0:
             continue
         e, before, watch = cells[i], befores[i], watches[i]
         if watch.asleep > 0.0:
-            if known[i] > 0.0 and rests(watch, t, low[i], high[i], var[i]):
-                load[i] = 0.0
-                width = high[i] - low[i]
-                variance[i] = t.floor * t.floor + (var[i] + width * width * (1.0 / 12.0)) / (t.gain * t.gain)
+            if known and rests(watch, t, reading.low, reading.high, var):
+                reading.load = 0.0
+                reading.load_variance = t.floor * t.floor + (var + width * width * (1.0 / 12.0)) / (t.gain * t.gain)
                 continue
-            watch.asleep, watch.offset = 0.0, watch.centre - e.r[REST]
-        least, most = low[i] - watch.offset, high[i] - watch.offset
-        follow(e, before, watch, c, p, trial[0], t, known[i] > 0.0, least, most, var[i], forget)
+            watch.asleep, e.r[REST], e.x3[REST] = 0.0, watch.left, watch.left_x3
+        low, high = reading.low - watch.offset, reading.high - watch.offset
+        follow(e, before, watch, c, p, trial[0], t, known, low, high, var, forget)
         mean = mean_of(e)
         spread = variance_of(e, mean, t)
         if watch.since_s > 0.0:
@@ -751,28 +771,32 @@ def step_each(
             spread += bad * (variance_of(before, other, t) - spread) + bad * (1.0 - bad) * off * off
             if watch.odds > 0.0:
                 mean = other
-        elif sleeps[i] > 0.0 and forget < 1.0 and known[i] > 0.0 and settled(e, var[i], high[i] - low[i]):
-            watch.asleep, watch.centre, watch.cusum = 1.0, watch.offset + e.r[REST], 0.0
-        load[i] = mean
+        elif sleeps[i] > 0.0 and forget < 1.0 and known and settled(e, var, width):
+            watch.asleep, watch.left, watch.left_x3, watch.cusum = 1.0, e.r[REST], e.x3[REST], 0.0
         beyond = max(mean - 1.0, 0.0) * t.extrapolated
-        variance[i] = spread + t.floor * t.floor + t.relative * t.relative * mean * mean + beyond * beyond
+        reading.load = mean
+        reading.load_variance = spread + t.floor * t.floor + t.relative * t.relative * mean * mean + beyond * beyond
 
 
 @loop
 def settled(e: Estimates, var: float, width: float) -> bool:
-    """Whether a cell is at rest, and remembers nothing that the noise does not hide."""
-    return bool(e.w[REST] > RESTS and e.r[REST] * e.r[REST] < 1e-6 + 0.3 * (var + width * width * (1.0 / 12.0)))
+    """Whether a cell is at rest: for sure, or with no memory that the noise does not hide."""
+    noise = var + width * width * (1.0 / 12.0)
+    return bool(e.w[REST] > SURE or (e.w[REST] > RESTS and e.r[REST] * e.r[REST] < 1e-6 + 0.3 * noise))
 
 
 @loop
 def rests(watch: Watch, t: Step, low: float, high: float, var: float) -> bool:
-    """Whether a sleeping cell goes on sleeping (Page 1954)."""
+    """Whether a sleeping cell goes on sleeping (Page 1954): reads what is left of earlier loads, which fades."""
     std = math.sqrt(var + (high - low) * (high - low) * (1.0 / 12.0))
-    off = (0.5 * (low + high) - watch.centre) / std
+    left = t.by_r[REST] * watch.left + t.by_x3[REST] * watch.left_x3
+    off = (0.5 * (low + high) - watch.offset - left) / std
     watch.cusum = max(watch.cusum + off - 0.5, 0.0)
     sleeps = abs(off) < WAKES and watch.cusum < WAKES
-    if sleeps and t.drift_var > 0.0:  # of readings at rest alone, and where the rest resistance drifts at all
-        watch.centre += (off * std) * min(t.dt_s / DRIFTS_S, 1.0)
+    if sleeps:
+        watch.left, watch.left_x3 = left, watch.left_x3 * t.x3_kept
+        if t.drift_var > 0.0:  # of readings at rest alone, and where the rest resistance drifts at all
+            watch.offset += (off * std) * min(t.dt_s / DRIFTS_S, 1.0)
     return bool(sleeps)
 
 
@@ -782,7 +806,7 @@ HOPELESS = -12.0
 """logarithm of the odds at which no contact is suspected any more"""
 LASTING = 5.0
 """usual times of a bad contact, after which what is read counts as a load"""
-RESTS = 0.5
-"""probability of rest from which a cell may sleep"""
+RESTS, SURE = 0.5, 0.998
+"""probabilities of rest from which a cell sleeps that remembers nothing, or that fades as the model says"""
 WAKES, DRIFTS_S = 4.0, 3.0
-"""standard deviations, and their sum, at which a cell wakes; and s, in which the mean of a sleeping cell follows"""
+"""standard deviations, and their sum, at which a cell wakes; and s, in which the offset of a sleeping cell follows"""

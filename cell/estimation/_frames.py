@@ -21,9 +21,9 @@ from ...common.measurement import (
 )
 from .._state import CellState
 from ._columns import share_each
-from ._filter import Candidates, Estimates, Pools, Watch, begin, step_each
+from ._filter import Candidates, Estimates, Pools, Reading, Watch, begin, step_each
 from ._modes import Step
-from ._scale import Scale, reading, slope
+from ._scale import Scale, scaled
 
 FORGET_EVERY_S = 0.05
 """s, after which evidence is forgotten, and cells are put to sleep"""
@@ -80,28 +80,24 @@ class Clock(Record):
     since_forgot_s: float
 
 
-LOW, HIGH, VARIANCE, MARK, SLOPE, BEGINNING, SHARED, HELD, LASTING, OFF, SPREAD, LOAD, LOAD_VARIANCE = range(13)
-"""rows of the scratch of a frame: the reading as an interval of r, the variance of its noise, 1 where it was read (0:
-not, -1: never), dr/dG, the r with which a cell begins, what columns share and the most of it that lasts, the
-variance of what else lasts, two of :func:`.share_each`, and the answer"""
-SCRATCH = 13
 WAS_READ, WAS_KNOWN = 0, 1
 """rows of what is remembered of readings: 1 where a cell has ever been read, and where it was in the last frame"""
 
 
 @loop
-def take_reading(block: Rows, i: int, settings: Settings, scale: Scale, rest_ohm: float, work: Rows) -> bool:
+def take_reading(block: Rows, i: int, settings: Settings, scale: Scale, rest_ohm: float, reading: Reading) -> bool:
     """Turn what a measurement (fields, n) says of cell ``i`` into an interval of r; returns whether it says anything.
 
     A reading counts as missing if it is NaN, shorted, or beyond every credible load. Without current a cell that is
     open at rest bears no load.
     """
     conductance, unit = block[CONDUCTANCE, i], settings.r_unit
-    work[LOW, i] = work[HIGH, i] = work[SLOPE, i] = 0.0
-    work[VARIANCE, i] = 1.0
+    reading.low = reading.high = reading.slope = 0.0
+    reading.variance = 1.0
     if not math.isfinite(conductance):
-        return bound_reading(block, i, settings, scale, rest_ohm, work)
-    r, by_conductance = reading(scale, rest_ohm, conductance) / unit, slope(scale, rest_ohm, conductance) / unit
+        return bound_reading(block, i, settings, scale, rest_ohm, reading)
+    r, by_conductance = scaled(scale, rest_ohm, conductance)
+    r, by_conductance = r / unit, by_conductance / unit
     half = abs(by_conductance) * block[HALF_STEP, i]
     var = by_conductance * by_conductance * block[NOISE_VARIANCE, i]
     var = max(var, LEAST_STD * LEAST_STD)
@@ -114,19 +110,19 @@ def take_reading(block: Rows, i: int, settings: Settings, scale: Scale, rest_ohm
     seen, r = r, r - below
     if not (seen * unit > settings.least and r * unit < settings.most):
         return False
-    work[LOW, i], work[HIGH, i], work[VARIANCE, i] = r - half, r + half, var + below * below
-    work[SLOPE, i] = by_conductance if math.isfinite(by_conductance) else 0.0
+    reading.low, reading.high, reading.variance = r - half, r + half, var + below * below
+    reading.slope = by_conductance if math.isfinite(by_conductance) else 0.0
     return True
 
 
 @loop
-def bound_reading(block: Rows, i: int, settings: Settings, scale: Scale, rest_ohm: float, work: Rows) -> bool:
+def bound_reading(block: Rows, i: int, settings: Settings, scale: Scale, rest_ohm: float, reading: Reading) -> bool:
     """The same for a cell of which only bounds on the conductance are known, as of a reading at a limit."""
     least, greatest = math.nan, math.nan
     if math.isfinite(block[LEAST, i]) and block[LEAST, i] > 0.0:
-        least = reading(scale, rest_ohm, block[LEAST, i]) / settings.r_unit
+        least = scaled(scale, rest_ohm, block[LEAST, i])[0] / settings.r_unit
     if math.isfinite(block[GREATEST, i]) and block[GREATEST, i] > 0.0:
-        greatest = reading(scale, rest_ohm, block[GREATEST, i]) / settings.r_unit
+        greatest = scaled(scale, rest_ohm, block[GREATEST, i])[0] / settings.r_unit
     # The unit of a cell whose resistance falls is negative, so that r rises with its load either way.
     falls = scale.falls > 0.0
     first, last = (least, greatest) if falls else (greatest, least)
@@ -139,25 +135,27 @@ def bound_reading(block: Rows, i: int, settings: Settings, scale: Scale, rest_oh
     if falls:  # usual loads alone are credited
         last = min(last, max(settings.usual_level, first))
     # No load reads less than rest but for errors: as far below as above, so that the middle says nothing.
-    work[LOW, i], work[HIGH, i], work[VARIANCE, i] = max(first, -last), last, LEAST_STD * LEAST_STD
+    reading.low, reading.high, reading.variance = max(first, -last), last, LEAST_STD * LEAST_STD
     return says and first <= last and last > 0.0
 
 
 @loop
-def take_readings(
-    block: Rows, settings: Settings, scale: Scale, rest_ohm: Row, seen: Rows, work: Rows, status: Reasons, frame: int
-) -> None:
-    """Take the readings of a frame (fields, n): write its intervals, marks and flags."""
-    for i in range(rest_ohm.size):
-        known = take_reading(block, i, settings, scale, rest_ohm[i], work)
-        begins = known and (seen[WAS_READ, i] if settings.remembers > 0.0 else seen[WAS_KNOWN, i]) == 0.0
-        status[frame, i] = (READ if known else 0) + (BEGUN if begins else 0)
-        seen[WAS_KNOWN, i] = 1.0 if known else 0.0
-        if known:
-            seen[WAS_READ, i] = 1.0
-        work[MARK, i] = 1.0 if known else seen[WAS_READ, i] - 1.0
-        middle = 0.5 * (work[LOW, i] + work[HIGH, i])
-        work[BEGINNING, i] = middle if abs(middle) < 0.1 * FAR else 0.0
+def errors_of(block: Rows, i: int, reading: Reading) -> None:
+    """Take what a measurement says of the errors that cell ``i`` shares with its column."""
+    held = block[COLUMN_HALF_STEP, i] * reading.slope
+    reading.shared, reading.held, reading.lasting = STEP_STD * held, abs(held), 0.0
+    if block[COLUMN_STD, i] != 0.0:
+        shared_std, own = block[COLUMN_STD, i] * reading.slope, math.sqrt(reading.variance)
+        reading.variance += shared_std * shared_std
+        beyond = math.sqrt(reading.variance) - own  # what a column shares hardly averages: its cells move together
+        reading.lasting = beyond * beyond
+
+
+@loop
+def middle(reading: Reading) -> float:
+    """The r with which a cell begins; 0 where nothing bounds it."""
+    r = 0.5 * (reading.low + reading.high)
+    return r if abs(r) < 0.1 * FAR else 0.0
 
 
 @loop
@@ -175,7 +173,7 @@ def take_frames(
     sleeps: Row,
     columns: Row,
     seen: Rows,
-    work: Rows,
+    readings: Records[Reading],
     states: Records[CellState],
     slopes: Row,
     shown: Rows,
@@ -204,7 +202,7 @@ def take_frames(
         sleeps: (n,) 1 where a cell may sleep.
         columns: (columns,) recent mean of what each shares.
         seen: (2, n) what is remembered of readings.
-        work: (:data:`SCRATCH`, n) scratch.
+        readings: (n,) written: the readings of the last frame.
         states: (n,) what the inversion says of the cells.
         slopes: (m,) see :func:`show_frames`, as ``shown``.
         shown: (2, n)
@@ -219,62 +217,41 @@ def take_frames(
 
     """
     settings, scale, clock = all_settings[0], scales[0], clocks[0]
-    low, high, var, mark = work[LOW], work[HIGH], work[VARIANCE], work[MARK]
-    load, load_var = work[LOAD], work[LOAD_VARIANCE]
     for frame in range(blocks.shape[0]):
         place = which[frame]
         step, block = steps[place : place + 1], blocks[frame]
         t = step[0]
-        take_readings(block, settings, scale, rest_ohm, seen, work, status, frame)
         clock.frames += 1.0
+        shares, was_read = False, seen[WAS_READ if settings.remembers > 0.0 else WAS_KNOWN]
+        for i in range(rest_ohm.size):
+            reading, watch, flags = readings[i], watches[i], 0
+            reading.known = seen[WAS_READ, i] - 1.0
+            if take_reading(block, i, settings, scale, rest_ohm[i], reading):
+                reading.known, flags = 1.0, READ
+                if was_read[i] == 0.0:
+                    flags = READ | BEGUN
+                    begin(cells[i], middle(reading), settings.geq, settings.gu, settings.g3)
+                    watch.odds = watch.since_s = watch.asleep = watch.offset = watch.cusum = 0.0
+                seen[WAS_READ, i] = 1.0
+            seen[WAS_KNOWN, i] = max(reading.known, 0.0)
+            errors_of(block, i, reading)
+            shares = shares or reading.held != 0.0
+            status[frame, i] = flags | ASLEEP if watch.asleep > 0.0 else flags
         if settings.filtered == 0.0:
             for i in range(rest_ohm.size):
-                level[frame, i], level_variance[frame, i] = 0.5 * (low[i] + high[i]) * settings.r_unit, 0.0
+                reading = readings[i]
+                level[frame, i], level_variance[frame, i] = 0.5 * (reading.low + reading.high) * settings.r_unit, 0.0
                 if status[frame, i] & READ:
                     status[frame, i] |= AWAKE
             continue
-        shares = False
-        for i in range(rest_ohm.size):
-            if status[frame, i] & BEGUN:
-                begin(cells[i], work[BEGINNING, i], settings.geq, settings.gu, settings.g3)
-                watch = watches[i]
-                watch.odds = watch.since_s = watch.asleep = watch.offset = watch.centre = watch.cusum = 0.0
-            shared_std = block[COLUMN_STD, i] * work[SLOPE, i]
-            held = block[COLUMN_HALF_STEP, i] * work[SLOPE, i]
-            own = math.sqrt(var[i])
-            var[i] += shared_std * shared_std
-            beyond = math.sqrt(var[i]) - own  # what a column shares hardly averages: its cells move together
-            work[LASTING, i] = beyond * beyond
-            work[SHARED, i], work[HELD, i] = STEP_STD * held, abs(held)
-            shares = shares or held != 0.0
-            if watches[i].asleep > 0.0:
-                status[frame, i] |= ASLEEP
         if shares:
-            shared, most = work[SHARED], work[HELD]
-            off, spread = work[OFF], work[SPREAD]
-            share_each(cells, watches, step, shared, most, mark, columns, low, high, var, off, spread)
+            share_each(cells, watches, step, columns, readings)
         clock.since_forgot_s += t.dt_s
         forget = 1.0
         if clock.since_forgot_s >= FORGET_EVERY_S:
             forget = math.exp(-clock.since_forgot_s / t.forget_s)
             clock.since_forgot_s = 0.0
-        step_each(
-            cells,
-            befores,
-            watches,
-            candidates,
-            pools,
-            trial,
-            step,
-            low,
-            high,
-            var,
-            mark,
-            sleeps,
-            forget,
-            load,
-            load_var,
-        )
+        step_each(cells, befores, watches, candidates, pools, trial, step, readings, sleeps, forget)
         for i in range(rest_ohm.size):
             slept, sleeping = status[frame, i] & ASLEEP, watches[i].asleep > 0.0
             if status[frame, i] & READ and not (slept and sleeping):
@@ -284,11 +261,12 @@ def take_frames(
             elif sleeping and not slept:
                 status[frame, i] |= ASLEEP
             level[frame, i], level_variance[frame, i] = 0.0, 0.0
-            if mark[i] >= 0.0:
-                level[frame, i], level_variance[frame, i] = load[i] * settings.unit, load_var[i]
-                if settings.lasting > 0.0 and work[SLOPE, i] != 0.0:
-                    half, held = 0.5 * (high[i] - low[i]), work[HELD, i]
-                    lasting = STEP_STD * STEP_STD * (half * half + held * held) + work[LASTING, i]
+            reading = readings[i]
+            if reading.known >= 0.0:
+                level[frame, i], level_variance[frame, i] = reading.load * settings.unit, reading.load_variance
+                if settings.lasting > 0.0 and reading.slope != 0.0:
+                    half, held = 0.5 * (reading.high - reading.low), reading.held
+                    lasting = STEP_STD * STEP_STD * (half * half + held * held) + reading.lasting
                     level_variance[frame, i] += lasting / (settings.geq * settings.geq)
     if settings.follows > 0.0:
         show_frames(status, level, level_variance, states, states, all_settings, slopes, shown, pressure, std)

@@ -38,22 +38,19 @@ def scale_of(kind: int, *, unit: float = 1.0, falls: bool = True, open_at_rest: 
 
 
 @loop
-def reading(scale: Scale, rest_ohm: float, conductance: float) -> float:
-    """r of a conductance in S; NaN where no cell has such a one."""
+def scaled(scale: Scale, rest_ohm: float, conductance: float) -> tuple[float, float]:
+    """r of a conductance in S, and dr/dG; NaN or infinite where no cell has such a one."""
     if scale.kind == RATIO:
-        return 1.0 / (conductance * rest_ohm) - 1.0 if conductance != 0.0 else math.inf
+        if conductance == 0.0:
+            return math.inf, math.inf
+        ratio = 1.0 / (conductance * rest_ohm)
+        return ratio - 1.0, -ratio * ratio * rest_ohm
     if scale.kind == LOGARITHM:
-        return max(math.log(rest_ohm * conductance) / scale.unit, -BELOW) if conductance > 0.0 else math.nan
-    scaled = (conductance + 1.0 / scale.unit - 1.0 / rest_ohm) * scale.unit
-    return 1.0 / scaled - 1.0 if conductance != 0.0 and scaled > 0.0 else math.nan  # no contact conducts so
-
-
-@loop
-def slope(scale: Scale, rest_ohm: float, conductance: float) -> float:
-    """dr/dG at a conductance in S; NaN or infinite where :func:`reading` is."""
-    if scale.kind == RATIO:
-        return -1.0 / (rest_ohm * conductance * conductance) if conductance != 0.0 else math.inf
-    if scale.kind == LOGARITHM:
-        return 1.0 / (scale.unit * conductance) if conductance > 0.0 else math.nan
-    scaled = (conductance + 1.0 / scale.unit - 1.0 / rest_ohm) * scale.unit
-    return -scale.unit / (scaled * scaled) if conductance != 0.0 and scaled > 0.0 else math.nan
+        if not conductance > 0.0:
+            return math.nan, math.nan
+        return max(math.log(rest_ohm * conductance) / scale.unit, -BELOW), 1.0 / (scale.unit * conductance)
+    contact = (conductance + 1.0 / scale.unit - 1.0 / rest_ohm) * scale.unit
+    if conductance == 0.0 or not contact > 0.0:  # no contact conducts so
+        return math.nan, math.nan
+    ratio = 1.0 / contact
+    return ratio - 1.0, -scale.unit * ratio * ratio

@@ -15,18 +15,16 @@ One frame, with certified bounds:
 ============================  =====================================================================================
 
 A stream, in bounded time per frame, begins with :func:`live_recovery` in :mod:`._live`, and gives a
-:mod:`._live_reading` for each frame: resistances, uncertainties, reasons. Boards whose circuit states what a reading
-says of its own conductance and of its column (:meth:`..readouts.ReadoutCircuit.port_law`):
+:class:`.Measurement` for each frame (:mod:`._measured`): conductances, uncertainties, reasons. Boards whose circuit
+states what a reading says of its own conductance and of its column (:meth:`..readouts.ReadoutCircuit.port_law`):
 
 ============================  =====================================================================================
-:mod:`._usual_frames`         most frames, in one kernel
-:mod:`._live_law`             the stages of all others
-:mod:`._law`                  cells by Kirchhoff's laws of columns and rows, in closed form
-:mod:`._law_errors`           their errors by quantisation and noise
+:mod:`._live_law`             the stages of a frame
+:mod:`._law_frames`           a frame in one kernel, with factors that hold
+:mod:`._law`                  cells by Kirchhoff's laws of columns and rows, in closed form (:mod:`._law_kernels`)
 :mod:`._factors`              everything beyond these laws, as one factor for each cell
 :mod:`._enclosure`            cells beside others whose readings do not determine them
 :mod:`._answers`              bounds on all answers, where readings may have several
-:mod:`._measured`             all as measurements in siemens
 ============================  =====================================================================================
 
 Single frames that the laws leave open, boards with bridged lines, and dividers with floating rows, where all cells take
@@ -37,17 +35,14 @@ part in every reading: :mod:`._live_fit`, with :mod:`._usual_fits` for most fram
 
 from ._conditioning import Conditioning, conditioning
 from ._live import live_recovery
-from ._live_reading import Errors, LiveReading, LiveRecovery, Reason, ValidityRule
-from ._measured import Measured
+from ._live_reading import Frame, LiveRecovery, Reason, ValidityRule
 from ._recover import Recoverer, recover
 from ._recovered import Recovery, Status
 
 __all__ = [
     "Conditioning",
-    "Errors",
-    "LiveReading",
+    "Frame",
     "LiveRecovery",
-    "Measured",
     "Reason",
     "Recoverer",
     "Recovery",

@@ -30,7 +30,8 @@ MOST_WIRE = 2.0
 _STANDS_OUT = 10.0  # port conductance over the usual one of its column, from which on a cell may be a short
 _FEW = 3  # rows, below which the usual one is that of all cells
 _SHORTED = 0.3  # ohm, of all cells of a column in parallel, if none of them stands out, where columns have loads
-_ONE = 3.0  # largest over least conductance of all answers, up to which they are one within their errors
+ONE = 3.0
+"""largest over least conductance of all answers, up to which they are one within their errors"""
 
 
 def several_answers(board: Board) -> bool:
@@ -77,7 +78,11 @@ class Answers:
         self._least_ohm = least_ohm
 
     def __call__(
-        self, volts: FloatArray, error: float, at_limit: tuple[BoolArray, BoolArray] | None = None
+        self,
+        volts: FloatArray,
+        error: float,
+        limited: BoolArray | None = None,
+        under_range: BoolArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Bounds (N, M) in S on the cells behind readings (N, M) in V that are known within an ``error`` in V.
 
@@ -89,7 +94,8 @@ class Answers:
         Args:
             volts: readings.
             error: of each.
-            at_limit: (N, M) each, cells that conduct at least, and at most, what their readings say; None: nowhere.
+            limited: (N, M) cells that conduct at least what their readings say; None: nowhere.
+            under_range: likewise at most.
 
         """
         law, (rows, columns) = self._law, volts.shape
@@ -101,8 +107,8 @@ class Answers:
         usual = usual[(len(usual) - 1) // 2]
         short = driven > _STANDS_OUT * np.maximum(usual, 0.0)
         short &= (np.count_nonzero(short, axis=1) > 1)[:, None]
-        limited, under_range = (self._nowhere, self._nowhere) if at_limit is None else at_limit
-        limited, under_range = np.ascontiguousarray(limited | short), np.ascontiguousarray(under_range)
+        limited = np.ascontiguousarray(short if limited is None else limited | short)
+        under_range = self._nowhere if under_range is None else under_range
         most = self._most
         column_most = np.where(limited.any(axis=0), self._column_most[0], self._column_most[1])
         if self._least_ohm:
@@ -120,5 +126,5 @@ class Answers:
 
 def are_one(low: FloatArray, high: FloatArray) -> BoolArray:
     """Where bounds on all answers are so near that these differ by their errors only."""
-    one: BoolArray = high <= _ONE * low
+    one: BoolArray = high <= ONE * low
     return one

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from math import isfinite
-from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -24,8 +23,7 @@ from ...common.arrays import BoolArray, FloatArray
 from ...common.compiled import Blocks, FlagRows, Record, Records, Row, Rows, loop, zeros
 from .._board import Board, broken_off
 from .._parts import LEAST_SHORT_OHM
-from ._law import Law, Ports
-from ._law_errors import LawErrors
+from ._law import Law
 from ._law_kernels import LEAST, OPEN_ROW, OPEN_SCALE, TINY
 
 _MARGIN = 1.2  # for segments, and for what is beyond the first order
@@ -35,37 +33,6 @@ _UNUSUAL = 30.0  # largest ratio of a cell beside a short to the best conducting
 _MOST = 1e6  # relative change that stands for any larger one
 _CORRECTED = 3.0  # most by which a cell beyond the law's counts
 _LEAST_LEFT = 1e-9  # of a row's drive
-
-
-class Unknowns(NamedTuple):
-    """Readings (N, M) that state bounds only."""
-
-    limited: BoolArray
-    """the cell conducts at least what the reading says"""
-    under_range: BoolArray
-    """the cell conducts at most what the reading says"""
-
-    @classmethod
-    def of(cls, shape: tuple[int, int], limited: BoolArray | None, under_range: BoolArray | None) -> Self:
-        """The same for masks that may be missing."""
-        nowhere = np.zeros(shape, dtype=np.bool_)
-        return cls(nowhere if limited is None else limited, nowhere if under_range is None else under_range)
-
-    @property
-    def any(self) -> BoolArray:
-        """Readings of either kind."""
-        return self.limited | self.under_range
-
-
-class Enclosed(NamedTuple):
-    """What unknown cells leave open. Arrays are (N, M)."""
-
-    change: FloatArray
-    """largest relative change of each cell over all values of the unknown ones"""
-    least: FloatArray
-    """S, lower bounds on unknown cells; 0 at all others"""
-    greatest: FloatArray
-    """S, upper bounds on unknown cells; infinite at all others"""
 
 
 class Ways(Record):
@@ -151,21 +118,21 @@ def enclose(
     least: Rows,
     greatest: Rows,
 ) -> None:
-    """Write the bounds of all cells (N, M): the fields of :class:`Enclosed`.
+    """Write the largest relative change of all cells (N, M) over all values of unknown ones, and bounds on these.
 
     Args:
         volts: readings.
         potential_law: (2, M) of the port law, as ``driving``.
         limited: cells that conduct at least what their readings say; ``under_range`` at most.
-        apart: and all further arguments up to ``by_law``: the fields of :class:`Ports`.
+        apart: and all further arguments up to ``by_law``: as :func:`columns_of` and :func:`rows_of` write them.
         estimate: S, of the cells.
-        of_driven: and all further arguments up to ``row_open``: the fields of :class:`LawErrors`.
+        of_driven: and all further arguments up to ``row_open``: as :func:`errors_of` writes them.
         error: V, of a reading.
         of_columns: (3, M), ``pull`` (N,) ohm, ``of_cells`` (6, N, M) and ``pairs`` (3, M, M): what is given of a board.
         shared: (N, M, M) ohm of wire that two cells of a row share on the way to its driver.
         boards: one board.
         work: (10, N, M), changed, as ``by_steps`` (5, N, N), ``in_columns`` (5, M) and ``in_rows`` (3, N).
-        change: written, as ``least`` and ``greatest``.
+        change: written, as ``least`` and ``greatest`` in S: 0 and infinite at cells that are not unknown.
     """
     board, rows, columns = boards[0], volts.shape[0], volts.shape[1]
     per_sum, below, above, potential, row = work[0], work[1], work[2], work[3], work[4]
@@ -538,12 +505,11 @@ class Enclosure:
             to_end: (N, M) ohm of wire between each cell and its column's end.
 
         """
-        self._law = law
         circuit, drive, (rows, columns) = board.circuit, abs(board.drive), board.shape
         follows, hidden = circuit.drives_idle_lines, broken_off(board)
         ends = circuit.read_ends(board) if circuit.has_amplifiers and not follows else None
         one_by_one = circuit.columns_one_by_one(board)
-        self._floating, self._divides = board.floating, not circuit.has_amplifiers
+        self._divides = not circuit.has_amplifiers
         at_end = 0.0 if follows else circuit.end_resistance(board)
         own_wire = law.wire - to_end.mean(axis=0) + to_end  # ohm (N, M) from each cell to its column's end
         of_columns, of_cells, pairs = (
@@ -610,40 +576,6 @@ class Enclosure:
         """whether all ways of currents are counted: bridges and sheets have others"""
         self._adrift = bool(of_cells[ADRIFT].any())
 
-    def unheld(self, unknowns: Unknowns) -> bool:
+    def unheld(self, limited: BoolArray, under_range: BoolArray) -> bool:
         """Whether an amplifier's output may stand at a limit, so that it does not hold its column."""
-        limited, under_range = unknowns
         return not self._divides and bool(limited.any() or (under_range.any() and self._adrift))
-
-    def coupling(self, cells: FloatArray) -> FloatArray:
-        """(M,) share of a column's current that may pass to other columns by way of the rows, at cells (N, M) in S."""
-        behind: FloatArray = self._law.behind * cells.sum(axis=0)
-        if self._floating:
-            return behind
-        loss = float((self._law.lead[:, None] * cells).sum(axis=1).max())
-        share: FloatArray = loss * behind / (1.0 + behind)
-        return share
-
-    def __call__(
-        self, ports: Ports, errors: LawErrors, cells: FloatArray, unknowns: Unknowns | None, volts: FloatArray
-    ) -> Enclosed:
-        """Bounds for cells (N, M) in S behind readings ``volts``."""
-        shape = rows, columns = cells.shape
-        limited, under_range = Unknowns.of(shape, None, None) if unknowns is None else unknowns
-        if not self.bounds_cells and (limited | under_range).any():
-            return Enclosed(np.full(shape, np.inf), np.zeros(shape), np.full(shape, np.inf))
-        _, potential, driving = self._law.law
-        of_columns, pull, of_cells, shared, pairs, ways = self.given
-        found = Enclosed(np.empty(shape), np.empty(shape), np.empty(shape))
-        enclose.unchecked(
-            *(volts, potential, driving, np.ascontiguousarray(limited), np.ascontiguousarray(under_range)),
-            *(ports.apart, ports.share, ports.drive, ports.total, ports.driven, ports.cells),
-            *(np.ascontiguousarray(cells), errors.of_driven, errors.linear, errors.of_left, errors.column_open),
-            *(errors.of_sums, errors.row_open),
-            errors.error,
-            *(of_columns, pull, of_cells, shared, pairs),
-            ways,
-            *work_for(rows, columns),
-            *found,
-        )
-        return found

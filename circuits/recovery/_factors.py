@@ -16,17 +16,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf
+from typing import NamedTuple
 
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
 from ...errors import SolverError
-from ._law_kernels import move
+from ._law import Law
+from ._law_kernels import OPEN, couple, move
 
 EVALUATIONS, FIRST_EVALUATIONS = 4, 30
 """of the full model in one frame, and in the first one of all"""
-OPEN = 1e-14
-"""S, of an open cell in the model"""
 FRESH = 0.2  # share of an uncertainty that a factor may be off by
 _ROUGHLY = 0.5  # share of the law's error that a cell may be off by which is not valid and only loads others
 _LEAST_FACTOR, _MOST_FACTOR = 0.2, 5.0  # beyond, a difference takes the place of the factor
@@ -36,33 +36,50 @@ _REGULAR = 1e-12
 _TINY = np.finfo(np.float64).tiny
 
 
+class Kept(NamedTuple):
+    """The factors of one board's cells, and where they were made. Arrays are (N, M) in line coordinates."""
+
+    rho: FloatArray
+    added: FloatArray
+    """S, what takes the place of a factor far from 1"""
+    base: FloatArray
+    """S, cells at which they were made"""
+    beyond: FloatArray
+    """how far from 1 they were there"""
+    row_sums: FloatArray
+    """(N,) S of the base"""
+    column_sums: FloatArray
+    """(M,) S"""
+    coupling: FloatArray
+    """(M,) factors by which columns may differ, though they do not where cells are equal"""
+
+
 class Factors:
-    """The factors of one board's cells. Arrays are (N, M) in line coordinates."""
+    """Makes the factors of one board."""
 
     def __init__(
-        self,
-        shape: tuple[int, int],
-        law: Callable[[FloatArray], FloatArray],
-        coupling: Callable[[FloatArray], FloatArray],
-        evaluations: int,
+        self, kept: Kept, law: Law, law_of_model: Callable[[FloatArray], FloatArray], evaluations: int
     ) -> None:
         """Begin with factors of 1.
 
         Args:
-            shape: of the board.
-            law: law(F(G)) in S of cells G in S.
-            coupling: (M,) factors by which columns may differ at cells in S, though they do not where cells are equal.
-            evaluations: of ``law`` in a frame.
+            kept: written whenever factors are made.
+            law: of the board.
+            law_of_model: law(F(G)) in S of cells G in S.
+            evaluations: of ``law_of_model`` in a frame.
 
         """
-        self._law, self._coupling_at, self._evaluations = law, coupling, evaluations
-        self.rho, self._added, self.any_added = np.ones(shape), np.zeros(shape), False
-        self.base: FloatArray | None = None
-        self.beyond, self.coupling = np.zeros(shape), np.zeros(shape[1])
-        self.row_sums, self.column_sums = np.ones(shape[0]), np.ones(shape[1])
-        self.astray, self._begun = True, False
-        self.renewed = False
-        """whether the last frame has made the factors anew"""
+        self.kept, self._law, self._evaluations = kept, law_of_model, evaluations
+        self._lines = law.lead, law.behind, law.floating
+        kept.rho[...], kept.added[...], kept.coupling[...] = 1.0, 0.0, 0.0
+        self.known = False
+        """whether factors have been made"""
+        self._astray, self._begun = True, False
+
+    @property
+    def hold(self) -> bool:
+        """Whether they serve for other frames."""
+        return self.known and not self._astray
 
     def __call__(
         self,
@@ -72,7 +89,7 @@ class Factors:
         counted: BoolArray,
         limit: float,
     ) -> tuple[FloatArray, FloatArray, bool]:
-        """Cells in S, their relative error by what the iteration has left, and whether they have settled.
+        """Make the factors anew: cells in S, their relative error by what is left, and whether they have settled.
 
         Args:
             by_law: S, law(y) of the frame's readings y.
@@ -82,51 +99,8 @@ class Factors:
             limit: uncertainty up to which cells matter.
 
         """
-        cells, self.renewed = self.estimate(by_law), False
-        if self.base is not None and not self.astray:
-            self.coupling = np.maximum(self.coupling, self._coupling_at(np.maximum(cells, 0.0)))
-            allowed = uncertainty(cells)
-            matters = counted & (allowed <= limit)
-            left = self.moved(np.abs(cells - self.base), cells, matters)
-            if not ((left > FRESH * allowed) & matters).any():
-                return cells, left, True
-        self.renewed = True
-        return self._renewed(cells, by_law, uncertainty, error, counted, limit)
-
-    def estimate(self, by_law: FloatArray) -> FloatArray:
-        """Cells in S by the present factors."""
-        cells: FloatArray = self.rho * by_law
-        if self.any_added:
-            cells += self._added
-        return cells
-
-    def moved(self, change: FloatArray, cells: FloatArray, matters: BoolArray) -> FloatArray:
-        """Relative change of ``cells`` by their factors, to first order, by a ``change`` in S of these; 0 at first."""
-        if self.base is None:
-            return np.zeros(change.shape)
-        off, differs = np.empty(change.shape), self._added != 0.0
-        if self.any_added:
-            matters = matters & ~differs
-        sums = self.row_sums, self.column_sums
-        move.unchecked(change, self.base, self.beyond, self.coupling, *sums, matters, np.empty(change.shape[1]), off)
-        # What passes beside a cell does not fall with it.
-        least = np.maximum(cells, OPEN)
-        off += self.beyond * change * np.maximum(1.0 / least - 1.0 / self.base, 0.0)
-        if self.any_added:
-            most = np.maximum(self.base, np.abs(self._added))
-            off = np.where(differs, off * np.maximum(most / least, 1.0), off)
-        return off
-
-    def _renewed(
-        self,
-        cells: FloatArray,
-        by_law: FloatArray,
-        uncertainty: Callable[[FloatArray], FloatArray],
-        error: FloatArray,
-        counted: BoolArray,
-        limit: float,
-    ) -> tuple[FloatArray, FloatArray, bool]:
-        before: list[tuple[FloatArray, FloatArray]] = []
+        kept = self.kept
+        cells, before = kept.rho * by_law + kept.added, list[tuple[FloatArray, FloatArray]]()
         evaluations = self._evaluations if self._begun else FIRST_EVALUATIONS
         self._begun = True
         for _ in range(evaluations):
@@ -134,40 +108,45 @@ class Factors:
             try:
                 again = self._law(cells)
             except (SolverError, np.linalg.LinAlgError):
-                self.base, self.astray = None, True
+                self.known, self._astray = False, True
                 return cells, np.full(cells.shape, inf), False
             new = self._correct(cells, again, by_law)
             allowed = uncertainty(new)
             matters = counted & (allowed <= limit)
             change = np.abs(np.maximum(new, OPEN) - cells)  # a negative reading is that of an open cell
-            left = self.moved(change * counted, new, matters)
+            left, scratch = np.empty(cells.shape), np.empty(cells.shape[1])
+            sums = kept.coupling, kept.row_sums, kept.column_sums
+            move.unchecked(change * counted, new, kept.base, kept.beyond, kept.added, *sums, matters, scratch, left)
             log = np.log(cells)
             step = np.log(np.maximum(new, 1e-3 * cells)) - log
             further = accelerated(log, step, before, matters)
             left = np.maximum(left, np.abs(np.expm1(np.clip(further - step, -_STRIDE, _STRIDE))))
             loads = change > _ROUGHLY * np.minimum(error, 1.0) * np.maximum(np.abs(by_law), cells)
             if not (counted & np.where(matters, left > FRESH * allowed, loads)).any():
-                self.astray = not matters.any()
+                self._astray = not matters.any()
                 return new, left, True
             further = np.where(matters, further, 0.5 * np.clip(step, -_STRIDE, _STRIDE))
             before.append((log, step))
             cells = np.where(counted, np.exp(np.clip(log + further, *_EXPONENTS)), new)
-        self.astray = True
+        self._astray = True
         return cells, np.full(cells.shape, inf), False
 
     def _correct(self, cells: FloatArray, again: FloatArray, by_law: FloatArray) -> FloatArray:
         """Make the factors at ``cells``, of which the law makes ``again`` in the model; the corrected cells."""
+        kept = self.kept
         ratio = cells / np.where(again > 0.0, again, inf)
         usual = (ratio > _LEAST_FACTOR) & (ratio < _MOST_FACTOR) & (by_law > 0.0)
-        self.rho, self._added = np.where(usual, ratio, 1.0), np.where(usual, 0.0, cells - again)
-        self.any_added = not usual.all()
+        kept.rho[...], kept.added[...] = np.where(usual, ratio, 1.0), np.where(usual, 0.0, cells - again)
         # What adds is as steep as a factor, if there is one, else as beside other cells.
-        self.base, self.beyond = cells, np.abs(np.where((again > 0.0) & (by_law > 0.0), ratio, self.rho) - 1.0)
-        if self.any_added:
-            self.beyond[~usual] = np.maximum(self.beyond, self.beyond[usual].max(initial=0.0))[~usual]
-        self.row_sums, self.column_sums = cells.sum(axis=1), cells.sum(axis=0)
-        self.coupling = self._coupling_at(cells)
-        corrected: FloatArray = self.rho * by_law + self._added
+        kept.base[...] = cells
+        kept.beyond[...] = np.abs(np.where((again > 0.0) & (by_law > 0.0), ratio, kept.rho) - 1.0)
+        if not usual.all():
+            kept.beyond[~usual] = np.maximum(kept.beyond, kept.beyond[usual].max(initial=0.0))[~usual]
+        kept.row_sums[...], kept.column_sums[...] = cells.sum(axis=1), cells.sum(axis=0)
+        kept.coupling[...] = 0.0
+        couple.unchecked(cells, *self._lines, kept.coupling)
+        self.known = True
+        corrected: FloatArray = kept.rho * by_law + kept.added
         return corrected
 
 

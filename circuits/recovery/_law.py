@@ -23,35 +23,12 @@ readings, :mod:`._answers` encloses them all.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
 from .._parts import LEAST_SHORT_OHM
 from ..readouts import PortLaw
 from ._law_kernels import LEAST, columns_of, rows_of
-
-
-class Ports(NamedTuple):
-    """Port conductances of one frame. Arrays are (N, M) unless stated."""
-
-    apart: FloatArray
-    """S, I / W: the conductance if the column had no potential"""
-    share: FloatArray
-    """C / W"""
-    drive: FloatArray
-    """V, W"""
-    left: FloatArray
-    """(M,) 1 - sum(C / W): share of the drive at a column while all rows are driven"""
-    total: FloatArray
-    """(M,) S, T"""
-    driven: FloatArray
-    """(N, M) S, D"""
-    row_left: FloatArray
-    """(N,) 1 - r sum(D): share of the drive at a row while all columns are at its foot"""
-    cells: FloatArray
-    """(N, M) S, G"""
 
 
 class Law:
@@ -94,7 +71,7 @@ class Law:
         self.has_potential = bool(law.potential.any())
         """whether columns leave the potential of the idle lines, so that a cell depends on its whole column"""
         self.has_leads = bool(lead.any())
-        self._floating = floating
+        self.floating = floating
         self.cancels = virtual_ground and not floating
         """whether columns stand next to the idle lines, so that offsets alone drive currents into their shorts"""
         self.behind: FloatArray = np.abs((c1 - w1 * (not self.has_potential)) / i1)
@@ -107,36 +84,21 @@ class Law:
         self._least_row_left = np.maximum(error * np.sqrt(columns) * per_reading * self.lead, LEAST)
         self._segments, self._beside_end = (np.array(part, order="C") for part in (segments, beside_end))
         self.present = np.ascontiguousarray(~(absent | (shorts > 0.0)))
-        self.nowhere = np.zeros(absent.shape, dtype=np.bool_)
+        self.nowhere: BoolArray = np.zeros(absent.shape, dtype=np.bool_)
         self._shorts = np.array(shorts, order="C")
 
-    def __call__(self, volts: FloatArray, unknown: BoolArray | None = None) -> Ports:
-        """The conductances behind readings (N, M) in V, of which ``unknown`` ones state bounds only."""
-        shape = rows, columns = volts.shape
-        ports = Ports(
-            *(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(columns), np.empty(columns)),
-            *(np.empty(shape), np.empty(rows), np.empty(shape)),
-        )
-        nowhere = self.nowhere if unknown is None else unknown
-        columns_of.unchecked(
-            volts, *self.law, self.present, nowhere, self._shorts, self._most, self._least_left, *ports[:6]
-        )
-        lines = self.lead, self._segments, self._beside_end, self._least_row_left, self._floating
-        rows_of.unchecked(ports.driven, ports.drive, *lines, ports.row_left, ports.cells)
-        return ports
+    def __call__(self, volts: FloatArray) -> FloatArray:
+        """Cells (N, M) in S behind readings in V."""
+        cells, row_left = np.empty(volts.shape), np.empty(len(volts))
+        apart, share, drive, driven = (np.empty(volts.shape) for _ in range(4))
+        left, total = (np.empty(volts.shape[1]) for _ in range(2))
+        given = np.ascontiguousarray(volts), *self.law, self.present, self.nowhere, self._shorts, self._most
+        columns_of.unchecked(*given, self._least_left, apart, share, drive, left, total, driven)
+        lines = self.lead, self._segments, self._beside_end, self._least_row_left, self.floating
+        rows_of.unchecked(driven, drive, *lines, row_left, cells)
+        return cells
 
     def given(self) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...], tuple[FloatArray, ...]]:
         """What the kernels are given of each column (M,), of each row (N,) and of each cell (N, M)."""
         of_rows = self.lead, self._most, self._least_row_left
         return (self._least_left, self.behind), of_rows, (self._shorts, self._segments, self._beside_end)
-
-    def potential(self, volts: FloatArray) -> FloatArray:
-        """V (N, M), of each column above the idle lines at readings ``volts``."""
-        potential: FloatArray = self.law.potential[0] + self.law.potential[1] * volts
-        return potential
-
-    def share_slope(self, ports: Ports) -> FloatArray:
-        """1/V, size of the derivative of C / W by the reading; broadcasts to (N, M)."""
-        (_, c1), (_, w1) = self.law.potential, self.law.drive
-        slope: FloatArray = np.abs((c1 - w1 * ports.share) / ports.drive)
-        return slope

@@ -1,4 +1,4 @@
-"""Kernels of the laws of columns and rows (:mod:`._law`), of their errors (:mod:`._law_errors`) and of factors.
+"""Kernels of the laws of columns and rows (:mod:`._law`), of their errors, and of factors (:mod:`._factors`).
 
 Each works on one frame of N x M cells. The equations stand in the modules that call the kernels.
 """
@@ -13,6 +13,14 @@ LEAST = 1e-12
 """share of a voltage that counts as none"""
 OPEN_SCALE, OPEN_ROW = 0.7, 0.3
 """error of what is left of a column's drive or of a row's, relative to it, from which on its scale is open"""
+OPEN = 1e-14
+"""S, of an open cell in the model"""
+ALIKE = 2.0
+"""by how much rounding of equal readings exceeds independent errors in the sum of a column: measured where cells at
+rest are alike; 1.8 in a pressed column of equal cells
+"""
+BY_STEPS, BY_NOISE = 4.5, 3.5
+"""standard deviations of other readings' steps and noise that are covered"""
 LARGEST = 50.0
 """logarithm that is as good as infinite"""
 TINY = 2.3e-308
@@ -52,7 +60,12 @@ def columns_of(
         shorts: S, D of complete shorts; 0 at other cells.
         most: (N,) S, D of a short behind each row.
         least_left: (M,) least share of a drive left at a column.
-        apart: and all further arguments: the fields of ``Ports``, written.
+        apart: S, written: I / W, the conductance if the column had no potential.
+        share: C / W, written.
+        drive: V, W, written.
+        left: (M,) 1 - sum(C / W), written: share of the drive at a column while all rows are driven.
+        total: (M,) S, T, written.
+        driven: S, D, written.
     """
     rows, columns = volts.shape
     for j in range(columns):
@@ -101,7 +114,7 @@ def rows_of(
         beside_end: ohm, wire from a cell to its column's end in excess of the mean, which the potential counts.
         least_row_left: (N,) least share of a drive left at a row.
         floating: whether idle rows float: then columns of one step stand at different potentials, each with its drive.
-        row_left: (N,) written.
+        row_left: (N,) 1 - r sum(D), written: share of the drive at a row while all columns are at its foot.
         cells: written.
     """
     rows, columns = driven.shape
@@ -175,7 +188,12 @@ def errors_of(
         has_leads: whether rows have leads.
         alike: whether equal readings of a column add up, as in dividers.
         one_by_one: whether idle columns carry no load.
-        of_driven: and all further arguments: the fields of ``LawErrors``, written.
+        of_driven: S, of the port conductances, written.
+        per_volt: 1/V, relative change by the cell's own reading, written; ``beside`` by errors of its column, signed.
+        own: relative error by the cell's own reading, written; ``linear`` by all readings.
+        std: 1/V, relative change by independent errors of all readings, written.
+        of_left: (M,) error of ``left``, written; ``column_open`` relative to it.
+        of_sums: (N,) S, error of a row's sum, written; ``row_open`` of ``row_left``, relative to it.
         sums: (3, M) changed.
     """
     rows, columns = volts.shape
@@ -277,10 +295,33 @@ def relative_to(
 
 
 @loop
+def couple(cells: Rows, lead: Row, behind: Row, floating: bool, coupling: Row) -> None:
+    """Raise to its value at ``cells`` (N, M) in S the share (M,) of a column's current that may pass to other columns.
+
+    It passes by way of the rows, behind leads of ``lead`` (N,) ohm, from a column that ends in ``behind`` (M,) ohm.
+    """
+    rows, columns = cells.shape
+    loss = 0.0
+    for i in range(rows):
+        of_row = 0.0
+        for j in range(columns):
+            of_row += max(cells[i, j], 0.0)
+        loss = max(loss, lead[i] * of_row)
+    for j in range(columns):
+        passed = 0.0
+        for i in range(rows):
+            passed += max(cells[i, j], 0.0)
+        passed *= behind[j]
+        coupling[j] = max(coupling[j], passed if floating else loss * passed / (1.0 + passed))
+
+
+@loop
 def move(
     change: Rows,
+    cells: Rows,
     base: Rows,
     beyond: Rows,
+    added: Rows,
     coupling: Row,
     row_sums: Row,
     column_sums: Row,
@@ -288,12 +329,14 @@ def move(
     in_columns: Row,
     off: Rows,
 ) -> None:
-    """Write the relative change of the factors, to first order, by a ``change`` in S of the cells.
+    """Write the relative change of ``cells`` by their factors, to first order, by a ``change`` in S of the cells.
 
     Args:
         change: S (N, M).
+        cells: S, now.
         base: S, cells at which the factors were made.
         beyond: factors less 1 there.
+        added: S, differences that take the place of factors; 0 at all other cells.
         coupling: (M,) factors by which columns may differ though they do not where cells are equal.
         row_sums: (N,) S of the base; ``column_sums`` (M,) likewise.
         matters: cells that count.
@@ -305,18 +348,24 @@ def move(
         most, moved = coupling[j], 0.0
         for i in range(rows):
             moved += change[i, j]
-            if matters[i, j]:
+            if matters[i, j] and added[i, j] == 0.0:
                 most = max(most, beyond[i, j])
         in_columns[j] = most * moved / column_sums[j]
     for i in range(rows):
         most, moved = 0.0, 0.0
         for j in range(columns):
             moved += change[i, j]
-            if matters[i, j]:
+            if matters[i, j] and added[i, j] == 0.0:
                 most = max(most, beyond[i, j])
         by_row = most * moved / row_sums[i]
         for j in range(columns):
-            off[i, j] = by_row + in_columns[j] + min(change[i, j] / base[i, j], 1.0) * beyond[i, j]
+            # What passes beside a cell does not fall with it.
+            least = max(cells[i, j], OPEN)
+            further = max(1.0 / least - 1.0 / base[i, j], 0.0)
+            per_change = min(change[i, j] / base[i, j], 1.0) + change[i, j] * further
+            off[i, j] = by_row + in_columns[j] + per_change * beyond[i, j]
+            if added[i, j] != 0.0:
+                off[i, j] *= max(max(base[i, j], abs(added[i, j])) / least, 1.0)
 
 
 @loop

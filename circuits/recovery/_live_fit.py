@@ -21,14 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import BoolArray, FloatArray
+from ...common.measurement import Measurement
 from ...errors import InputError, SolverError
 from .._adc import adc_error
 from .._board import Board, broken_off, cell_alone
 from .._grid import exact_ports
 from .._parts import LEAST_SHORT_OHM
 from ._answers import several_answers
-from ._law_errors import ALIKE, BY_NOISE, BY_STEPS
-from ._law_kernels import TINY
+from ._law_kernels import ALIKE, BY_NOISE, BY_STEPS, TINY
 from ._lines import LineResistance
 from ._live_reading import (
     DISTURBED,
@@ -38,12 +38,10 @@ from ._live_reading import (
     SIGMAS,
     UNCERTAIN,
     UNSETTLED,
-    Errors,
-    LiveReading,
-    UsualReading,
+    Frame,
     ValidityRule,
-    undetermined,
 )
+from ._measured import constants_of, state_each
 from ._node_blocks import NodeBlocks
 from ._quick_model import QuickModel, with_resistance
 from ._sheet_model import SheetModel
@@ -99,8 +97,8 @@ class _Linear(NamedTuple):
     slope: FloatArray
     """(n,) 1/V, of each logarithm by its own reading if the cell were alone"""
     std_at: Callable[[float], tuple[FloatArray, Callable[[FloatArray], FloatArray] | None]]
-    """(n,) standard deviation of the logarithms by errors so many times those of ADC steps; and ``solve`` for cells that
-    may have any size between nothing and a short, where it was made"""
+    """(n,) standard deviation of the logarithms by errors so many times those of ADC steps; and ``solve`` for cells
+    that may have any size between nothing and a short, where it was made"""
     behind: FloatArray
     """(n,) ohm, that each cell sees of its lines where nothing drives them"""
     known: dict[float, tuple[FloatArray, Callable[[FloatArray], FloatArray] | None]]
@@ -167,8 +165,6 @@ class _Corners(NamedTuple):
 class FitLive:
     """Live recovery of boards without a port law, and of single frames that their law leaves open."""
 
-    scales_columns = False
-
     def __init__(self, board: Board, rule: ValidityRule, least_ohm: float) -> None:
         """For a board with a converter, whose cells have at least so many ohm, shorts apart.
 
@@ -177,6 +173,7 @@ class FitLive:
 
         """
         self._rule, self._shape, self._turn = rule, board.shape, board.turn
+        self._constants = constants_of(board, rule, alike=ALIKE)
         whole = replace(board, supply=(-inf, inf), faults=tuple(map(with_resistance, board.faults)))
         self._board = replace(whole, continuous=False)
         self._half_step = adc_error(board)
@@ -226,39 +223,24 @@ class FitLive:
         self._wide = False
         self._corners: _Corners | None = None
         self._damping, self._astray, self._in_vain, self._begun = 0.0, False, 0, False
-        self.usual: UsualReading | None = None
+        self.usual: Callable[[Frame], Measurement | None] | None = None
         self._calm = 0
         usual = cells <= MOST_BESIDE and self._sheet is None and not self._several
         if usual and UsualFits.serves(board):
-            self.usual = UsualFits(board, self, rule, (self._half_step, self._std))
+            self.usual = UsualFits(board, self, self._constants, self._std)
+
+    def __call__(self, frame: Frame) -> Measurement:
+        """As :class:`.LiveRecovery`."""
+        return self.read(frame.in_lines(self._turn))
 
     @np.errstate(divide="ignore", invalid="ignore", over="ignore")
-    def __call__(
-        self,
-        volts: FloatArray,
-        limited: BoolArray | None = None,
-        noise: float = 0.0,
-        *,
-        under_range: BoolArray | None = None,
-    ) -> LiveReading:
-        """As :class:`.LiveRecovery`."""
-        turn = self._turn
-        at_limit, under = (None if cells is None else turn(cells) for cells in (limited, under_range))
-        return self.read(np.ascontiguousarray(turn(volts)), at_limit, under, noise)
-
-    def read(
-        self,
-        volts: FloatArray,
-        limited: BoolArray | None,
-        under_range: BoolArray | None,
-        noise: float,
-        start: FloatArray | None = None,
-    ) -> LiveReading:
+    def read(self, frame: Frame, start: FloatArray | None = None) -> Measurement:
         """The same in line coordinates, beginning at conductances ``start`` (N, M) in S if they fit better.
 
         A reading that says no more than a bound does not count. A reading at a limit that no cell can pass, as a
         divider's at the drive, is one like any other.
         """
+        volts, noise, limited, under_range = frame.volts, frame.noise, frame.limited, frame.under_range
         signal, error = np.abs(volts - self._board.level), self._half_step + SIGMAS * noise
         unread = self._hidden.copy()
         if limited is not None:
@@ -280,7 +262,7 @@ class FitLive:
             self._in_vain = self._in_vain + 1 if beyond.any() else 0
             if self._in_vain > _OFTEN:
                 raise SolverError(_NO_CELLS)
-            return self._nothing(DISTURBED, unread | short)
+            return self._nothing(frame, DISTURBED, unread | short)
         read: FloatArray = np.where(unread.ravel(), 0.0, 1.0)
         if wide != self._wide or (read != self._read).any():
             self._linear = None
@@ -288,9 +270,9 @@ class FitLive:
         self._pinned = np.where(unread & ~self._hidden, self._closed_start(volts.ravel()).reshape(self._shape), lowest)
         found = self._fit(volts.ravel(), hypot(1.0, noise / self._std), start)
         if found is None:
-            return self._nothing(DISTURBED if short.any() else UNSETTLED, unread | short)
+            return self._nothing(frame, DISTURBED if short.any() else UNSETTLED, unread | short)
         log, std, left, misfit = found
-        return self._reading(signal, error, noise, log, std, misfit, self._spread(log, unread) + np.abs(left), unread)
+        return self._reading(frame, error, log, std, misfit, self._spread(log, unread) + np.abs(left), unread)
 
     def bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """As :class:`._usual_fits.Fit`."""
@@ -729,18 +711,17 @@ class FitLive:
 
     def _reading(
         self,
-        signal: FloatArray,
+        frame: Frame,
         error: float,
-        noise: float,
         log: FloatArray,
         std: FloatArray,
         misfit: float,
         spread: FloatArray,
         unread: BoolArray,
-    ) -> LiveReading:
+    ) -> Measurement:
         """Values, uncertainties, validity and reasons of cells that give the readings."""
-        board, shape, turn = self._board, self._shape, self._turn
-        cells, std = np.exp(-log).reshape(shape), std.reshape(shape)
+        board, shape, noise = self._board, self._shape, frame.noise
+        signal, std = np.abs(frame.volts - board.level), std.reshape(shape)
         slope = np.abs(board.circuit.log_conductance_slope(board, signal * np.sign(board.drive)))
         own = np.where(slope > 0.0, error * slope, 1.0)
         coarser = hypot(1.0, noise / self._std)
@@ -758,25 +739,30 @@ class FitLive:
             reason[own < self._rule.limit] = DISTURBED
         reason[signal <= error] = NO_CURRENT
         reason[unread | short] = SATURATED
+        if frame.under_range is not None:
+            reason[frame.under_range] = NO_CURRENT
         reason[self._gone] = HIDDEN
         reason[valid] = 0
         total = np.where(valid | (reason == UNCERTAIN), uncertainty, inf)
         of_own = np.where(slope > 0.0, slope, inf)
-        none, every = np.zeros(shape), np.maximum(std / (coarser * self._std), of_own)
-        return LiveReading(
-            turn(cells),
-            turn(valid),
-            turn(reason),
-            lambda: turn(total),
-            lambda: Errors(turn(of_own), turn(none), turn(every), ALIKE),
+        every = np.maximum(std / (coarser * self._std), of_own)
+        measured = Measurement.unknown(frame.each.shape)
+        state_each.unchecked(
+            *(np.exp(log).reshape(shape), total, of_own, every, reason, frame.each, frame.usual),
+            *(self._constants, measured.block, measured.reason),
         )
+        return measured
 
-    def _nothing(self, why: int, limited: BoolArray) -> LiveReading:
+    def _nothing(self, frame: Frame, why: int, limited: BoolArray) -> Measurement:
         """A frame that determines no cell; ``limited`` (N, M): readings at a limit."""
         reason: NDArray[np.int8] = np.full(self._shape, why, dtype=np.int8)
         reason[limited] = SATURATED
+        if frame.under_range is not None:
+            reason[frame.under_range] = NO_CURRENT
         reason[self._gone] = HIDDEN
-        return undetermined(self._turn(reason))
+        nothing = Measurement.unknown(frame.each.shape)
+        nothing.reason[...] = self._turn(reason)
+        return nothing
 
 
 def _tying_share(log: FloatArray, behind: FloatArray) -> FloatArray:

@@ -1,12 +1,11 @@
-"""Result of a live recovery for one frame: resistances, uncertainties, validity, and reasons."""
+"""What a live recovery is given and gives: the readings of a frame, the rule for valid cells, and reasons."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,127 +90,47 @@ class ValidityRule:
         return accepted
 
 
-class Errors(NamedTuple):
-    """Relative changes of one frame's conductances by errors of the readings. Arrays are (rows, columns), 1/V."""
+class Frame(NamedTuple):
+    """Readings of one frame. Arrays are (rows, columns)."""
 
-    own: FloatArray
-    """per volt of the cell's own reading, at a constant sum of its column"""
-    column: FloatArray
-    """per volt of independent errors of all readings of a column, whose cells they scale by one number; signed"""
-    all: FloatArray
-    """per volt of independent errors of all readings of the board"""
-    alike: float = 1.0
-    """by how much rounding of equal readings, which errs alike, exceeds independent errors in the sum of a column"""
+    volts: FloatArray
+    """V, the middle of each code; contiguous"""
+    noise: float
+    """V, standard deviation of the readings' noise before the converter that is rarely exceeded"""
+    usual: float
+    """V, the best guess"""
+    each: FloatArray
+    """V, the best guess of each reading; contiguous"""
+    limited: BoolArray | None = None
+    """readings at a limit; None: there are none"""
+    under_range: BoolArray | None = None
+    """readings at the limit that is also the reading of a cell without current: the output may lie anywhere beyond, and
+    the cell conducts no more than the reading says; None: there are none"""
 
+    @classmethod
+    def of(cls, volts: FloatArray, noise: float = 0.0, **at_limit: BoolArray | None) -> Self:
+        """Readings that all have the same noise."""
+        return cls(np.array(volts, dtype=np.float64, order="C"), noise, noise, np.full(volts.shape, noise), **at_limit)
 
-class LiveReading:
-    """The cells in one frame. Arrays are (rows, columns)."""
-
-    def __init__(
-        self,
-        resistance: FloatArray,
-        valid: BoolArray,
-        reason: NDArray[np.int8],
-        uncertainty: Callable[[], FloatArray],
-        errors: Callable[[], Errors] | None = None,
-        *,
-        every: bool | None = None,
-        bounds: tuple[FloatArray, FloatArray] | None = None,
-    ) -> None:
-        """Keep the values, and the functions that compute :attr:`uncertainty` and :attr:`errors` on demand.
-
-        ``errors`` is None where no cell is known. ``every`` says whether every cell is valid, if that is known.
-        """
-        self.resistance = resistance
-        """ohm; inf for open cells, NaN where nothing is known"""
-        self.valid = valid
-        """cells whose ``resistance`` satisfies the :class:`ValidityRule`"""
-        self.reason = reason
-        """a :class:`Reason` each"""
-        self.bounds = bounds
-        """S, lower and upper bounds on cells whose readings state no more; None: there are none"""
-        self._every, self._uncertainty, self._errors = every, uncertainty, errors
-
-    @property
-    def every(self) -> bool:
-        """Whether every cell is valid."""
-        return bool(np.count_nonzero(self.valid) == self.valid.size) if self._every is None else self._every
-
-    @cached_property
-    def uncertainty(self) -> FloatArray:
-        """Relative half-width of the interval of the conductance; inf where nothing is known.
-
-        The interval covers half an ADC step and :data:`SIGMAS` standard deviations of the noise of every reading, the
-        error of the computation, and the influence of cells whose conductance is unknown.
-        """
-        return self._uncertainty()
-
-    @cached_property
-    def errors(self) -> Errors:
-        """What errors of the readings change; infinite where no cell is known."""
-        if self._errors is None:
-            unknown = np.full(self.resistance.shape, np.inf)
-            return Errors(unknown, np.zeros(unknown.shape), unknown)
-        return self._errors()
-
-
-def undetermined(reason: NDArray[np.int8]) -> LiveReading:
-    """The reading of a frame that determines no cell, for these reasons (rows, columns)."""
-    unknown = np.full(reason.shape, np.inf)
-    return LiveReading(np.full(reason.shape, np.nan), np.zeros(reason.shape, dtype=np.bool_), reason, lambda: unknown)
-
-
-class UsualReading(Protocol):
-    """Measures most frames at a fraction of the cost; see :mod:`._usual_frames` and :mod:`._usual_fits`."""
-
-    def __call__(
-        self,
-        volts: FloatArray,
-        surely: float,
-        usual: float,
-        noise: FloatArray,
-        limited: BoolArray | None = None,
-        under_range: BoolArray | None = None,
-    ) -> Measurement | None:
-        """The measurement of a frame; None if it is to be recovered.
-
-        Args:
-            volts: (rows, columns) V, contiguous.
-            surely: V, standard deviation of noise that is rarely exceeded.
-            usual: V, the best guess.
-            noise: (rows, columns) V, the best guess of each reading, contiguous.
-            limited: as in :class:`LiveRecovery`, and ``under_range``.
-
-        """
-        ...
+    def in_lines(self, turn: Callable[[NDArray[Any]], NDArray[Any]]) -> Self:
+        """The same in line coordinates, but for the noise of each reading."""
+        limited, under_range = (
+            None if cells is None else np.ascontiguousarray(turn(cells)) for cells in (self.limited, self.under_range)
+        )
+        volts = np.ascontiguousarray(turn(self.volts))
+        return type(self)(volts, self.noise, self.usual, self.each, limited, under_range)
 
 
 class LiveRecovery(Protocol):
     """Live recovery of one board, called with one frame after the other."""
 
-    usual: UsualReading | None
-    """for frames without readings at a limit, if this circuit has such a way"""
-    scales_columns: bool
-    """whether errors of readings scale all conductances of their column by one factor. This is so in dividers whose
-    idle rows are driven: all readings of a column together determine the drive that is left for it"""
+    usual: Callable[[Frame], Measurement | None] | None
+    """measures most frames at a fraction of the cost, and gives None for those that are to be recovered; None: no frame
+    of this board can be measured so
+    """
 
-    def __call__(
-        self,
-        volts: FloatArray,
-        limited: BoolArray | None = None,
-        noise: float = 0.0,
-        *,
-        under_range: BoolArray | None = None,
-    ) -> LiveReading:
+    def __call__(self, frame: Frame) -> Measurement:
         """Recover the cells from one frame of readings.
-
-        Args:
-            volts: (rows, columns) V, the middle of each code.
-            limited: (rows, columns) where a reading is at a limit; None: nowhere.
-            noise: V, standard deviation of the readings' noise before the converter.
-            under_range: (rows, columns) where a reading is at the limit that is also the reading of a cell without
-                current: the output may lie anywhere beyond, and the cell conducts no more than the reading says; None:
-                nowhere.
 
         Raises:
             SolverError: no cells give these readings.

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ...common.arrays import FloatArray
 from ...common.compiled import Blocks, Reasons, Record, Records, Rows, loop, zeros
 from ...common.measurement import (
     COLUMN_HALF_STEP,
@@ -18,10 +14,11 @@ from ...common.measurement import (
     LEAST,
     NOISE_VARIANCE,
     UNCERTAINTY,
-    Measurement,
 )
 from ...common.noise import constant_part
-from ._live_reading import UNCERTAIN, LiveReading
+from .._adc import adc_error
+from .._board import Board
+from ._live_reading import UNCERTAIN, ValidityRule
 
 MOST_NOISE = 0.95
 """relative uncertainty of a noisy reading that an average can use"""
@@ -53,6 +50,12 @@ class Constants(Record):
     floating: float
     factors: float
     """1 where the laws are corrected by factors"""
+    faulty: float
+    """1 where parts are known to be in series with cells or in parallel"""
+    encloses: float
+    """1 where the bounds beside unknown cells count all ways of currents"""
+    several: float
+    """1 where readings may have several answers"""
     fits: float
     """1 where derivatives of all readings may know more of cells beside unknown ones"""
     turned: float
@@ -128,61 +131,48 @@ def state_each(
     conductance: Rows,
     uncertainty: Rows,
     own: Rows,
-    by_column: Rows,
     every: Rows,
-    noise: Rows,
+    why: Reasons,
+    frame_noise: Rows,
     usual: float,
-    sensed: int,
     boards: Records[Constants],
     block: Blocks,
     reason: Reasons,
 ) -> None:
-    """Write what is known of all cells (rows, columns), in the array's coordinates; as :func:`state_one`."""
-    board = boards[0]
+    """Write what is known of all cells (N, M) in line coordinates, whose readings do not scale their columns.
+
+    Args:
+        conductance: and the next three arguments as of :func:`state_one`.
+        why: cells are not valid.
+        frame_noise: V, of each reading, in the array's coordinates; ``usual`` of the others.
+        boards: the constants.
+        block: written, as ``reason``: in the array's coordinates.
+
+    """
+    board, rows, columns = boards[0], conductance.shape[0], conductance.shape[1]
     half_step = 0.5 * board.step * constant_part(usual / board.step)
-    for i in range(conductance.shape[0]):
-        for j in range(conductance.shape[1]):
-            values = conductance[i, j], uncertainty[i, j], own[i, j], by_column[i, j], every[i, j], noise[i, j]
-            state_one(block, reason, i, j, *values, usual, half_step, sensed, board)
+    for i in range(rows):
+        for j in range(columns):
+            row, column = (columns - 1 - j, rows - 1 - i) if board.turned > 0.0 else (i, j)
+            reason[row, column] = why[i, j]
+            block[LEAST, row, column], block[GREATEST, row, column] = 0.0, math.inf
+            values = conductance[i, j], uncertainty[i, j], own[i, j], 0.0, every[i, j], frame_noise[row, column]
+            state_one(block, reason, row, column, *values, usual, half_step, rows, board)
 
 
-class Measured:
-    """Makes measurements of the recovered frames of one board."""
-
-    def __init__(self, step: float, sensed: int, *, scales_columns: bool, averages: bool) -> None:
-        """Begin.
-
-        Args:
-            step: V, of the converter.
-            sensed: readings of a column.
-            scales_columns: whether errors of readings scale all conductances of their column by one factor.
-            averages: whether noisy readings serve for estimation, valid or not.
-
-        """
-        self._sensed, self._constants = sensed, zeros(Constants, 1)
-        for name, value in (("step", step), ("scales_columns", scales_columns), ("averages", averages)):
-            self._constants[name] = value
-
-    def __call__(self, found: LiveReading, reason: NDArray[np.int8], noise: FloatArray, usual: float) -> Measurement:
-        """The measurement of a frame.
-
-        Args:
-            found: as recovered.
-            reason: (rows, columns) why cells are not valid.
-            noise: (rows, columns) V, standard deviation of each reading, best guess; ``usual`` of the others.
-            usual: V.
-
-        """
-        made = Measurement.unknown(reason.shape)
-        made.reason[...] = reason
-        if found.bounds is not None:
-            made.least[...], made.greatest[...] = found.bounds
-        own, column, every, self._constants["alike"] = found.errors
-        with np.errstate(divide="ignore"):
-            conductance = 1.0 / found.resistance
-        whole = np.ascontiguousarray
-        state_each.unchecked(
-            *(whole(conductance), whole(found.uncertainty), whole(own), whole(column), whole(every), whole(noise)),
-            *(usual, self._sensed, self._constants, made.block, made.reason),
-        )
-        return made
+def constants_of(board: Board, rule: ValidityRule, **others: float) -> Records[Constants]:
+    """The constants of a board with a converter; those that are not given are zero."""
+    constants = zeros(Constants, 1)
+    assert board.adc is not None
+    given = {
+        "step": board.adc.step,
+        "half": adc_error(board),
+        "accuracy": rule.limit,
+        "averages": rule.averages,
+        "one_by_one": board.circuit.columns_one_by_one(board),
+        "floating": board.floating,
+        "turned": board.turned,
+    }
+    for name, value in (given | others).items():
+        constants[name] = value
+    return constants

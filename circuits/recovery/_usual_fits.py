@@ -17,15 +17,14 @@ from typing import Protocol
 
 import numpy as np
 
-from ...common.arrays import BoolArray, FloatArray
-from ...common.compiled import Blocks, FixedRow, Reasons, Records, Row, Rows, is_aside, loop, zeros
-from ...common.measurement import FIELDS, GREATEST, LEAST, Measurement
+from ...common.arrays import FloatArray
+from ...common.compiled import Blocks, FixedRow, Reasons, Records, Row, Rows, is_aside, loop
+from ...common.measurement import GREATEST, LEAST, Measurement
 from ...common.noise import constant_part
 from .._board import Board
 from ..readouts import columns_impedance
-from ._law_errors import ALIKE, BY_NOISE, BY_STEPS
-from ._law_kernels import LARGEST
-from ._live_reading import NO_CURRENT, SIGMAS, UNCERTAIN, ValidityRule
+from ._law_kernels import BY_NOISE, BY_STEPS, LARGEST
+from ._live_reading import NO_CURRENT, SIGMAS, UNCERTAIN, Frame
 from ._measured import Constants, state_one
 
 FAR = 0.5
@@ -285,24 +284,12 @@ class Fit(Protocol):
 class UsualFits:
     """Measures the usual frames of one board, beginning where the last frame left off."""
 
-    def __init__(self, board: Board, fit: Fit, rule: ValidityRule, converter: tuple[float, float]) -> None:
-        """For a board that :meth:`serves`; ``converter``: V, largest and standard error of a reading by its steps."""
+    def __init__(self, board: Board, fit: Fit, constants: Records[Constants], converter: float) -> None:
+        """For a board that :meth:`serves`; ``converter``: V, standard error of a reading by its steps."""
         rows, columns = self._shape = board.shape
-        assert board.adc is not None
         ends, alone = board.circuit.read_ends(board), board.circuit.alone(board)
         assert ends is not None
-        self._fit, self._turned = fit, board.turned
-        self._constants = zeros(Constants, 1)
-        for name, value in {
-            "step": board.adc.step,
-            "half": converter[0],
-            "alike": ALIKE,
-            "accuracy": rule.limit,
-            "averages": rule.averages,
-            "one_by_one": board.circuit.columns_one_by_one(board),
-            "turned": board.turned,
-        }.items():
-            self._constants[name] = value
+        self._fit, self._turn, self._constants = fit, board.turn, constants
         self._of_rows, self._of_columns = np.empty((2, rows)), np.empty((8, columns))
         self._of_rows[IDLE], self._of_rows[ROW_LEAD] = 1.0 / board.pull, board.row_ohms[:, 0]
         with np.errstate(divide="ignore"):
@@ -313,12 +300,12 @@ class UsualFits:
             strict=True,
         ):
             place[:] = given
-        self._numbers = board.drive, board.level, converter[1]
+        self._numbers = board.drive, board.level, converter
         self._of_cells = np.empty((7, rows, columns))
         self._of_cells[SHORT], self._of_cells[LOWEST], self._of_cells[HIGHEST] = fit.bounds()
         lines = np.empty((3, rows, columns)), np.empty((2, columns, columns)), np.empty(columns), np.empty(rows)
         self._work = *lines, np.empty((rows, columns)), np.empty((rows, columns)), np.empty(rows * columns)
-        self._volts, self._solver = np.empty((rows, columns)), np.empty((0, 0))
+        self._solver = np.empty((0, 0))
         self._log: FloatArray | None = None
 
     @staticmethod
@@ -349,20 +336,12 @@ class UsualFits:
             raise np.linalg.LinAlgError("parts of the grid have no connection")
         return volts
 
-    def __call__(
-        self,
-        volts: FloatArray,
-        surely: float,
-        usual: float,
-        noise: FloatArray,
-        limited: BoolArray | None = None,
-        under_range: BoolArray | None = None,
-    ) -> Measurement | None:
-        """As :class:`.UsualReading`."""
-        some = limited is not None or under_range is not None
+    def __call__(self, frame: Frame) -> Measurement | None:
+        """As :attr:`.LiveRecovery.usual`."""
+        some = frame.limited is not None or frame.under_range is not None
         if some or is_aside():  # arrays are quicker than a kernel in plain Python
             return None
-        kept = self._fit.kept(surely)
+        kept = self._fit.kept(frame.noise)
         if kept is None:
             return None
         log, made_at, behind, solver, spread = kept
@@ -372,14 +351,14 @@ class UsualFits:
         if solver is not self._solver:
             self._of_cells[MADE_AT], self._of_cells[BEHIND] = made_at.reshape(self._shape), behind.reshape(self._shape)
             self._solver = solver
-        if self._turned:
-            np.copyto(self._volts, volts.T[::-1, ::-1])
-            volts = self._volts
-        block, reason = np.empty((FIELDS, *noise.shape)), np.empty(noise.shape, dtype=np.int8)
+        measured = Measurement.unknown(frame.each.shape)
         given = solver, spread, self._of_rows, self._of_columns, self._of_cells, *self._numbers, self._constants
-        done = measure_fitted.unchecked(volts, *given, begun, surely, usual, noise, *self._work, block, reason)
+        done = measure_fitted.unchecked(
+            *(np.ascontiguousarray(self._turn(frame.volts)), *given, begun, frame.noise, frame.usual, frame.each),
+            *(*self._work, measured.block, measured.reason),
+        )
         if not done:
             self._log = None
             return None
         self._log = self._fit.follow(self._of_cells[LOG].reshape(-1))
-        return Measurement(block, reason)
+        return measured
