@@ -196,49 +196,18 @@ def _along(points: list[tuple[float, float]], dt_s: float) -> FloatArray:
 
 def cyclic(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
     """20 s of rest, then equal presses without pause; 40 % of them are learned from."""
-    load, one = _cycles(rng, dt_s)
-    return load, 20 + 0.4 * round(300 / one) * one
-
-
-def one_cycle(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
-    """The same, but only the first of the presses is learned from."""
-    load, one = _cycles(rng, dt_s)
-    return load, 20 + one
-
-
-def _cycles(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
     rise, held, fall, pause = rng.uniform(3, 12), rng.uniform(0, 4), rng.uniform(3, 12), rng.uniform(0, 4)
     one = rise + held + fall + pause
-    points = [(20.0, 0.0)]
+    points = [(0.0, 0.0), (20.0, 0.0)]
     for _ in range(round(300 / one)):
         points += [(rise, 1.0), (held + 1e-6, 1.0), (fall, 0.0), (pause + 1e-6, 0.0)]
-    return _along([(0.0, 0.0), *points], dt_s), one
-
-
-def sawtooth(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
-    """Ramps between random levels without any hold, after no rest to speak of."""
-    points = [(0.0, 0.0), (2.0, 0.0)]
-    for _ in range(70):
-        points += [(rng.uniform(2, 7), rng.uniform(0.4, 1.0)), (rng.uniform(2, 7), rng.uniform(0.0, 0.3))]
-    load = _along(points, dt_s)
-    return load, 0.45 * len(load) * dt_s
+    return _along(points, dt_s), 20 + 0.4 * round(300 / one) * one
 
 
 def random(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
     """Presses of random height and speed; those learned from have holds, half of the later ones have none."""
     load = np.concatenate([presses(rng, 240, dt_s, holds=holds) for holds in (True, True, False)])
     return np.clip(load, 0, None), 240.0
-
-
-def speeds(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
-    """Velocity profile: presses that rise and fall in 20, 2 and 0.2 s, in random order, with short holds and rests."""
-    points = [(0.0, 0.0), (10.0, 0.0)]
-    for _ in range(10):
-        for factor in rng.permutation([0.1, 1.0, 10.0]).tolist():
-            level, seconds = rng.uniform(0.5, 1.0), 2.0 / factor
-            points += [(seconds, level), (4.0, level), (seconds, 0.0), (6.0, 0.0)]
-    load = _along(points, dt_s)
-    return load, 0.45 * len(load) * dt_s
 
 
 def new_speeds(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
@@ -265,23 +234,6 @@ def new_speeds(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float
     return np.clip(force / force.max(), 0, None), head_s
 
 
-def faster(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
-    """Random presses; those that are judged are three times as fast as those learned from."""
-    return _at_another_speed(rng, dt_s, 3.0)
-
-
-def slower(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
-    """Random presses; those that are judged take three times as long as those learned from."""
-    return _at_another_speed(rng, dt_s, 0.3)
-
-
-def _at_another_speed(rng: np.random.Generator, dt_s: float, factor: float) -> tuple[FloatArray, float]:
-    first = np.clip(presses(rng, 240, dt_s, holds=True), 0, None)
-    first[-round(3 / dt_s) :] = 0
-    later = np.clip(presses(rng, 300 * factor, dt_s * factor, holds=True), 0, None)
-    return np.concatenate([first, later]), 240.0
-
-
 def mostly_rest(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
     """A press or two, then half a minute to a minute and a half of rest, again and again."""
     points = [(0.0, 0.0), (40.0, 0.0)]
@@ -292,17 +244,6 @@ def mostly_rest(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, floa
         points += [(rng.uniform(30, 90), 0.0)]
     load = _along(points, dt_s)
     return load, 0.5 * len(load) * dt_s
-
-
-def alike(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
-    """Twenty presses that are all alike, which are learned from, and then random ones."""
-    rise, held, fall, pause = rng.uniform(1, 5), rng.uniform(0, 4), rng.uniform(1, 5), rng.uniform(0, 4)
-    points = [(0.0, 0.0), (20.0, 0.0)]
-    for _ in range(20):
-        points += [(rise, 1.0), (held + 1e-6, 1.0), (fall, 0.0), (pause + 1e-6, 0.0)]
-    first = _along(points, dt_s)
-    later = np.clip(presses(rng, 300, dt_s, holds=True), 0, None)
-    return np.concatenate([first, later]), len(first) * dt_s
 
 
 def gripping(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
@@ -360,15 +301,9 @@ def _half(load: FloatArray, dt_s: float) -> tuple[FloatArray, float]:
 
 LOADS: dict[str, Load] = {
     "cyclic": cyclic,
-    "one cycle": one_cycle,
-    "sawtooth": sawtooth,
     "random": random,
-    "speeds": speeds,
     "new speeds": new_speeds,
-    "faster": faster,
-    "slower": slower,
     "mostly rest": mostly_rest,
-    "alike": alike,
     "gripping": gripping,
     "taps": taps,
     "walking": walking,

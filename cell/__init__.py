@@ -33,7 +33,6 @@ if TYPE_CHECKING:
         protocol_load,
         protocol_text,
         read_files,
-        read_recording,
         recovery_branches,
         rehearsed,
     )
@@ -84,7 +83,6 @@ __all__ = [
     "protocol_load",
     "protocol_text",
     "read_files",
-    "read_recording",
     "recovery_branches",
     "rehearsed",
 ]

@@ -19,7 +19,7 @@ from ..common.arrays import FloatArray
 from ._parts import Parts
 from ._readout import Readout
 from ._sections import Adc, Array, Drive, Fault, PerLine, Sheet
-from .ends import GROUND, LINE, REF, Card, ColumnEnd, Crosspoint, LineEnds, Network, Reference, RowEnd, amplifier
+from .ends import GROUND, LINE, OUT, REF, Card, ColumnEnd, Crosspoint, LineEnds, Network, Reference, RowEnd, amplifier
 from .readouts import CIRCUITS, DESCRIBED, DESCRIBED_INVERTING, LinearReadout, ReadoutCircuit
 
 
@@ -181,6 +181,8 @@ def _with_networks(board: Board, design: Sections, *, by_nodes: bool) -> Board:
 
 def _line_ends(board: Board, design: Sections) -> LineEnds:
     """Cards of all ends; of those that are not described, as the other keys of the design say."""
+    if board.circuit.drives_idle_lines:
+        return _followed(board)
     rows, columns = board.shape
     row_end, column_end = design.row_end, design.column_end
     ref = REF if design.reference or board.level else GROUND
@@ -193,7 +195,8 @@ def _line_ends(board: Board, design: Sections) -> LineEnds:
         read, unread = _named_columns(board, ref)
     else:
         shared = column_end.shared_by
-        read, unread = column_end.lines("parts", -(-columns // shared)), column_end.lines("idle", columns)
+        at_ends = column_end.lines("parts", -(-columns // shared))
+        read, unread = tuple(at_ends[j // shared] for j in range(columns)), column_end.lines("idle", columns)
     reference = () if design.reference is None else design.reference.lines("parts", 1)[0]
     if design.crosspoint is None:
         return LineEnds(selected, idle, read, unread, shared, reference, board.level)
@@ -202,6 +205,25 @@ def _line_ends(board: Board, design: Sections) -> LineEnds:
     selected, idle = (tuple(map(_behind_lead, ends, leads.tolist())) for ends in (selected, idle))
     crosspoint = design.crosspoint.lines("parts", 1)[0]
     return LineEnds(selected, idle, read, unread, shared, reference, board.level, crosspoint)
+
+
+def _followed(board: Board) -> LineEnds:
+    """The ends where the column that is read has its load, and a follower that drives all idle lines: the node ref."""
+    rows, columns = board.shape
+    zero = "level" if board.level else GROUND
+    level = (Card("VLEVEL", (zero, GROUND), board.level),) if board.level else ()
+    idle = (Card("VIDLE", (LINE, REF), 0.0),)
+    low, high = board.supply
+    read = []
+    for ohm, gain, offset, bias in zip(board.reference, board.gain, board.offset, board.bias, strict=True):
+        follower = amplifier(
+            *(LINE, OUT, OUT), open_loop_gain=float(gain), offset_voltage=float(offset), low=low, high=high
+        )
+        load = Card("RREF", (LINE, zero), float(ohm)), Card("IBIAS", (LINE, zero), float(bias))
+        read.append((*level, *load, follower, Card("VOUT", (OUT, REF), 0.0)))
+    drive = (*level, Card("VDRIVE", (LINE, zero), board.drive))
+    nothing = (Card("IREF", (REF, GROUND), 0.0),)  # the node is one for all lines
+    return LineEnds((drive,) * rows, (idle,) * rows, tuple(read), (idle,) * columns, columns, nothing, board.level)
 
 
 def _behind_lead(network: Network, ohm: float) -> Network:
@@ -251,7 +273,7 @@ def _named_columns(board: Board, ref: str) -> tuple[tuple[Network, ...], tuple[N
                 unread.append((Card("VIDLE", ("line", ref), 0.0),))
             case "load":
                 unread.append((Card("RIDLE", ("line", ref), ohm),))
-    return tuple(read[:: board.shared_by]), tuple(unread)
+    return tuple(read), tuple(unread)
 
 
 def cell_alone(board: Board, conductance: FloatArray, shunt: FloatArray) -> FloatArray:

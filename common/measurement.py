@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .arrays import BoolArray, FloatArray
-from .compiled import Blocks, FixedReasons, FlagRows, Rows, loop
+from .compiled import Blocks, FixedReasons, FixedRows, FlagRows, Rows, loop
 
 CONDUCTANCE, NOISE_VARIANCE, COLUMN_STD, HALF_STEP, COLUMN_HALF_STEP, LEAST, GREATEST, UNCERTAINTY = range(8)
 """places of the fields in :attr:`Measurement.block`"""
@@ -93,16 +93,23 @@ class Measurement:
         valid: BoolArray = self.reason == 0
         return valid
 
-    def shown(self) -> tuple[BoolArray, FloatArray, BoolArray]:
-        """Where cells are valid, their resistances in ohm (NaN elsewhere), and where nothing was read."""
+    def shown(self, pressure: FloatArray) -> tuple[BoolArray, FloatArray, BoolArray, bool]:
+        """Where cells are valid, their resistances in ohm (NaN elsewhere), where nothing was read, and a verdict.
+
+        Args:
+            pressure: (rows, columns) by an estimator, contiguous and not to be written to.
+
+        Returns:
+            Three arrays (rows, columns), and whether a valid cell has no pressure.
+
+        """
         shape = self.reason.shape
-        valid, unread = np.empty((2, *shape), dtype=np.bool_)
-        ohm = np.empty(shape)
+        flags, ohm = np.empty((2, *shape), dtype=np.bool_), np.empty(shape)
         self.reason.setflags(write=False)
-        show_each.unchecked(self.block, self.reason, valid, unread, ohm)
-        for array in (valid, ohm):
-            array.setflags(write=False)  # half of the time that array.flags takes
-        return valid, ohm, unread
+        beyond = show_each.unchecked(self.block, self.reason, pressure, flags[0], flags[1], ohm)
+        flags.setflags(write=False)  # half of the time that array.flags takes
+        ohm.setflags(write=False)
+        return flags[0], ohm, flags[1], beyond
 
     @property
     def resistance(self) -> FloatArray:
@@ -132,14 +139,19 @@ class Measurement:
 
 
 @loop
-def show_each(block: Blocks, reason: FixedReasons, valid: FlagRows, unread: FlagRows, ohm: Rows) -> None:
+def show_each(
+    block: Blocks, reason: FixedReasons, pressure: FixedRows, valid: FlagRows, unread: FlagRows, ohm: Rows
+) -> bool:
     """Write what :meth:`Measurement.shown` returns."""
+    beyond = False
     for i in range(ohm.shape[0]):
         for j in range(ohm.shape[1]):
             why = reason[i, j]
             valid[i, j] = why == 0
             unread[i, j] = not (why == 0 or why == NOISY)  # noqa: PLR1714 - Numba knows no sets
             ohm[i, j] = 1.0 / block[CONDUCTANCE, i, j] if why == 0 else math.nan
+            beyond = beyond or (why == 0 and math.isnan(pressure[i, j]))
+    return beyond
 
 
 _PLACES = {name: field.place for name, field in vars(Measurement).items() if isinstance(field, _Field)}

@@ -18,7 +18,9 @@ or conductances. There are two answers, for two uses:
 
 The first estimate is kept for as many frames as have shown the noise, up to twenty. Motion that was mistaken for noise
 in one frame is thus soon forgotten. Each frame whose readings move too little for this noise shortens the memory.
-Readings at a limit show no noise; while they stand there, the noise is not forgotten.
+Readings at a limit show no noise; while they stand there, the noise is not forgotten. A noise of several frames that
+pauses for less than twenty is known again in the frame in which it returns: it, not motion, is then the likelier cause
+of changes of its size.
 """
 
 from __future__ import annotations
@@ -49,6 +51,9 @@ MEAN_CHANGE, ALTERNATING = 0.918, 0.438
 """mean in sigma, and alternating part in sigma^2, of changes that are clipped there (normal distribution)"""
 MEDIAN_CHANGE = 0.954
 """median of the absolute change in sigma (normal distribution)"""
+TOGETHER = 0.99
+"""sum of signs of changes that go on, over that of one such reading, from which on they move: of five readings four, of
+fewer all"""
 AT_FIRST = 4.0
 """quanta, the largest noise accepted from the first two frames, which may also differ because all cells were pressed"""
 QUIET_OF_TWO, QUIET_OF_THREE = 0.8, 1.4
@@ -127,6 +132,10 @@ class BoardNoise(Record):
     """absolute change of a reading in the last frame"""
     evaluations: float
     """evaluations of third differences"""
+    before: float
+    """largest noise seen in the last :data:`MEMORY` frames"""
+    since: float
+    """frames since then"""
     middle: float
     """mean of the variances of the readings, each at most a few times the median"""
 
@@ -406,6 +415,13 @@ def noise_of_all(ring: Rows, newest: int, board: BoardNoise, scratch: Rows, few:
             shown = noise_of_quietest(ring, newest, board, scratch, quantum, False)
             if shown > ABOVE * board.seen and board.usable > 2.0:
                 shown = min(shown, noise_of_quietest(ring, newest, board, scratch, quantum, True))
+    if board.since >= MEMORY or (min(shown, board.seen) >= board.before and board.confirmed >= CONFIRMED):
+        board.before, board.since = min(shown, board.seen), 0.0
+    board.since += 1.0
+    # A noise that has paused is the likelier cause of changes of its size.
+    if mean > ROUNDED * board.seen and board.seen < CONTRADICTED * board.before:
+        again = mean_change(ring, newest, 1, max(quantum, CLIP * board.before)) / (moving * MEAN_CHANGE)
+        shown = max(shown, min(again, board.before))
     show_noise(board, few, shown, square, quantum, count)
 
 
@@ -459,7 +475,8 @@ def alternation(ring: Rows, newest: int, board: BoardNoise, most: float) -> floa
         back = min(abs(change), abs(earlier), most)
         squares += math.copysign(back * back, change * earlier)
         fourths += back * back * back * back
-    if squares >= 0.0 and board.frames > FEW:  # of readings known for some frames, motion is the likelier cause
+    # Of readings known for some frames, motion is the likelier cause if they go on together.
+    if squares >= TOGETHER * math.sqrt(fourths) and board.frames > FEW:
         return 0.0
     # By chance, few cells may alternate less than their noise does.
     part = DEVIATIONS * math.sqrt(fourths) - squares

@@ -103,35 +103,7 @@ def read_columns(
         InputError: unreadable or empty file, a missing column, or a field that is not a number.
 
     """
-    rows = Rows(path, MOST_RECORDING_BYTES)
-    lines = iter(rows)
-    first, header = next(lines)
-    header = [name.strip() for name in header]
-    missing = [name for name in names if name not in header]
-    if missing:
-        raise InputError(
-            f"{path}: line {first}: no column '{missing[0]}'; expected {','.join(names)}, got "
-            f"{shortened(','.join(header))}"
-        )
-    places = [header.index(name) for name in names]
-    dates = _Dates(path)
-    values = array("d")
-    for line, fields in _of_length(len(header), lines, rows, path, note):
-        if len(fields) > len(header):
-            raise InputError(f"{path}: line {line}: {len(fields)} fields, expected {len(header)}")
-        for name, place in zip(names, places, strict=True):
-            field = fields[place]
-            if not field.strip():
-                values.append(math.nan)
-            elif name == TIME and (seconds := dates.seconds(line, field)) is not None:
-                values.append(seconds)
-            else:
-                values.append(rows.number(line, field))
-        values.append(line)
-    if not values:
-        raise InputError(f"{path}: no data below the header")
-    table = np.array(values).reshape(-1, len(names) + 1)
-    return {name: table[:, k].copy() for k, name in enumerate((*names, LINE))}
+    return Table(path, note=note).columns(names)
 
 
 class Table:
@@ -141,18 +113,31 @@ class Table:
         """Read a file. Raises InputError: unreadable, empty or ragged; ``note`` reports a last line that is cut."""
         self.path, self._rows = path, Rows(path, MOST_RECORDING_BYTES, spaces=True)
         lines = iter(self._rows)
-        number, first = next(lines)
+        self._first, first = next(lines)
         header = [name.strip() for name in first]
         self.named = not all(_is_number_or_date(field) for field in header)
         """whether the file has a header"""
         self.header = header if self.named else [str(place + 1) for place in range(len(header))]
-        self.lines: list[int] = [] if self.named else [number]
+        self.lines: list[int] = [] if self.named else [self._first]
         self._fields: list[list[str]] = [] if self.named else [first]
         for line, fields in _of_length(len(header), lines, self._rows, path, note):
             self.lines.append(line)
             self._fields.append(fields)
         if not self._fields:
             raise InputError(f"{path}: no data below the header")
+
+    def columns(self, names: Sequence[str]) -> dict[str, FloatArray]:
+        """As :func:`read_columns`."""
+        if missing := [name for name in names if name not in self.header]:
+            raise InputError(
+                f"{self.path}: line {self._first}: no column '{missing[0]}'; expected {','.join(names)}, got "
+                f"{shortened(','.join(self.header))}"
+            )
+        for line, fields in zip(self.lines, self._fields, strict=True):
+            if len(fields) > len(self.header):
+                raise InputError(f"{self.path}: line {line}: {len(fields)} fields, expected {len(self.header)}")
+        columns = {name: self.numbers(self.header.index(name), dates=name == TIME) for name in names}
+        return columns | {LINE: np.array(self.lines, dtype=np.float64)}
 
     def texts(self, place: int) -> list[str]:
         """A column as it is written."""

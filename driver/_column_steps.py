@@ -24,7 +24,7 @@ from ..common.measurement import Measurement
 
 LEAST = 0.1
 """least relative error, by half a step of all other readings, that is removed"""
-FINE_FOR, NEVER = 15, 2**62
+FINE_FOR = 15
 """frames for which a small error counts as small without being measured anew"""
 ROUNDINGS = 2.0
 """roundings in the scale's error: of the reading now, and of the reading at rest"""
@@ -53,7 +53,9 @@ class ColumnSteps:
         apart = np.abs(rest_ohm / np.median(rest_ohm, axis=0) - 1.0)
         alike = np.count_nonzero(apart < ALIKE, axis=0) >= ALIKE_SHARE * len(rest_ohm)
         self._roundings = np.where(alike & rest_known, ROUNDINGS, 0.0)
-        self._idle = 0 if self._roundings.any() else NEVER  # frames until the steps are looked at
+        self.are_removed = bool(self._roundings.any())
+        """whether any column has such cells; otherwise :meth:`without` changes nothing"""
+        self._idle = 0  # frames until the steps are looked at
 
     def without(self, measured: Measurement) -> FloatArray:
         """Conductances for estimation.
@@ -63,8 +65,8 @@ class ColumnSteps:
 
         """
         conductance = measured.conductance
-        if self._idle:
-            self._idle -= 1
+        if self._idle or not self.are_removed:
+            self._idle = max(self._idle - 1, 0)
             return conductance
         rows = len(conductance)
         with np.errstate(invalid="ignore"):

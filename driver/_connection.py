@@ -141,6 +141,8 @@ class Connection:
         self._stop = SignalSafeEvent()
         self._has_frames = False
         """a frame has come since the board was last asked"""
+        self._settled = False
+        """the board is known and there, and need not be asked for each frame"""
         self._absence: Absence | None = None
         self._read_at = 0.0
         """when the port was last read, on its own clock"""
@@ -504,10 +506,16 @@ class Connection:
         if self.frames.newest is None:
             self._sample = (self._sample + arrival.data)[-SAMPLE_BYTES:]
         events = self._protocol.feed(arrival.data, arrival.received_at)
-        frames = [event for event in events if event.__class__ is FramePacket]
-        self.stream.arrive(arrival, len(frames))
+        frames = 0
         for event in events:
-            self._handle(event, arrival)
+            frames += event.__class__ is FramePacket
+        self.stream.arrive(arrival, frames)
+        for event in events:
+            if self._settled and event.__class__ is FramePacket and not self._orders:  # the usual case
+                self._reason, self._has_frames = "", True
+                self._add_frame(event, arrival)
+            else:
+                self._handle(event, arrival)
         return len(events)
 
     def _handle(self, event: Event, arrival: Arrival) -> None:
@@ -542,6 +550,7 @@ class Connection:
                 return
             # A board that sends no identity is identified by its port alone.
             self._prove()
+        self._settled = not self._family.polled
         self._add_frame(packet, arrival)
 
     def _add_frame(self, packet: FramePacket, arrival: Arrival) -> None:
@@ -622,7 +631,8 @@ class Connection:
         if before is None:
             before = Absence(time.monotonic(), error)
             self.frames.set_away(str(error))
-        absence = self._absence = Absence(before.since_s, before.because)
+        absence, self._settled = Absence(before.since_s, before.because), False
+        self._absence = absence
         left_s = self._reconnect_s - (time.monotonic() - absence.since_s)
         failure: LinkError | None = None
         for _ in attempts(left_s, lambda wait_s: self._stop.wait(wait_s) or self._is_ending):

@@ -89,7 +89,7 @@ class Consumer:
         while True:
             if frames.newest_only or place.index >= frames.fault.after:
                 self._check_fault()
-            self._seen = max(place.index, frames.done if frames.newest_only else 0)
+            self._seen = frames.done if frames.newest_only and frames.done > place.index else place.index
             raw = frames.following(place.index)
             if raw is None:
                 self._check()
@@ -203,11 +203,11 @@ class Consumer:
                 # This also covers an interrupt between the two steps below: the frame must not be offered for ever.
                 frames.move(self._place, raw.index)
                 return None
-            reported, self._reported = self._reported, _Totals.of(raw, measurement.estimator_starts)
-            self._newest, self._frame = raw.index, _frame(raw, measurement, reported, self._connection)
+            frame = self._frame = _frame(raw, measurement, self._reported, self._connection)
+            self._newest, self._reported = raw.index, _Totals.of(raw, measurement.estimator_starts)
             frames.move(self._place, raw.index)
             frames.counters.ages_s.append(age_s)
-            return self._frame
+            return frame
 
     def _check_fault(self) -> None:
         """Raise the newest fault unless this consumer has raised it already."""

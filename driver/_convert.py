@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,13 +42,8 @@ that work takes a small skin as long as ten frames; sums of seconds would differ
 _UNSOLVED, _BEYOND_MODEL = int(Reason.UNSOLVED), int(Reason.BEYOND_MODEL)
 
 
-class _Read(NamedTuple):
-    """A frame whose pressures are not estimated yet."""
-
-    frame: RawFrame
-    gap_s: float
-    """since the frame before"""
-    measured: Measurement
+_Read = tuple[RawFrame, float, Measurement]
+"""a frame whose pressures are not estimated yet, s since the frame before, and what it measures"""
 
 
 class Converter:
@@ -205,7 +199,7 @@ class Converter:
                     self._estimate.doubt_rest()
             if self._advice.frames is not None:
                 self._advice.take(as_read)
-            read.append(_Read(frame, gap_s, measured))
+            read.append((frame, gap_s, measured))
         self._estimated(read, found)
         return found
 
@@ -220,11 +214,10 @@ class Converter:
             pressures, stds = self._estimate.take(gaps_s, measurements)
         pressures.setflags(write=False)
         stds.setflags(write=False)
-        beyond_model = self._estimate is not None and bool(np.isnan(pressures).any())
         rest_counts = self.rest if self.design is None and self.rest is not None else self._no_rest
         for (frame, _, measured), pressure, std in zip(read, pressures, stds, strict=True):
-            reason, (valid, resistance, unread) = measured.reason, measured.shown()
-            if beyond_model:
+            reason, (valid, resistance, unread, beyond_model) = measured.reason, measured.shown(pressure)
+            if beyond_model and self._estimate is not None:
                 beyond = valid & np.isnan(pressure)
                 valid, reason = valid & ~beyond, np.where(beyond, np.int8(_BEYOND_MODEL), reason)
                 for array in (valid, reason):

@@ -28,6 +28,8 @@ class Estimate:
         self._rest, self._calibration = rest, calibration
         self._column_steps = ColumnSteps(self.estimator.rest_ohm, self.estimator.side, rest_known=rest.known)
         self._open_at_rest = cell.open_at_rest
+        self._as_sent = not (cell.open_at_rest or self._column_steps.are_removed)
+        """nothing is changed in measurements"""
         self.doubt_rest()
 
     def doubt_rest(self) -> None:
@@ -43,20 +45,22 @@ class Estimate:
             measured: of each frame.
 
         """
-        first = self._seen(measured[0])
-        block = first[None] if len(measured) == 1 else np.stack([first, *map(self._seen, measured[1:])])
-        pressure, std = self.estimator.run_measured(np.array(elapsed_s), block)
+        if len(measured) == 1:
+            pressure, std = self.estimator.estimate(elapsed_s[0], self._seen(measured[0]))
+            pressure, std = pressure[None], std[None]
+        else:
+            blocks = np.stack([self._seen(each).block for each in measured])
+            pressure, std = self.estimator.run_measured(np.array(elapsed_s), blocks)
         if self._calibration is not None:
             pressure, std = self._calibration.applied(pressure), self._calibration.applied_std(pressure, std)
         return pressure, std
 
-    def _seen(self, measured: Measurement) -> FloatArray:
-        """The measurement (fields, rows, columns) as the estimator is to see it."""
-        conductance = self._column_steps.without(measured)
+    def _seen(self, measured: Measurement) -> Measurement:
+        """The measurement as the estimator is to see it: where a cell is open at rest, no current is no load."""
+        if self._as_sent:
+            return measured
+        seen = Measurement(measured.block.copy(), measured.reason)
+        seen.block[CONDUCTANCE] = self._column_steps.without(measured)
         if self._open_at_rest:
-            conductance = np.where(measured.reason == _NO_CURRENT, 0.0, conductance)
-        if conductance.base is measured.block:
-            return measured.block
-        block = measured.block.copy()
-        block[CONDUCTANCE] = conductance
-        return block
+            seen.block[CONDUCTANCE][measured.reason == _NO_CURRENT] = 0.0
+        return seen

@@ -373,7 +373,8 @@ class Frames:
             self.finish(LinkError(f"frame {frames[0].index} could not be converted: {error!r}"))
             raise
         for frame, found in zip(frames, converted, strict=False):
-            if isinstance(found, ProtocolError):
+            if found.__class__ is not Converted:
+                assert isinstance(found, ProtocolError)
                 self.done = frame.index
                 self.report(found, frame.index)
                 return False
@@ -397,7 +398,9 @@ class Frames:
     def _after(self, index: int) -> RawFrame | None:
         """The oldest frame beyond ``index`` that is for readers; None if there is none yet."""
         kept = self._kept
-        return None if not kept or kept[-1].index <= index else kept[self._place_after(index)]
+        if not kept or kept[-1].index <= index:
+            return None
+        return kept[-1] if kept[-1].index == index + 1 else kept[self._place_after(index)]
 
     def _place_after(self, index: int) -> int:
         """The place in the queue of the oldest frame beyond ``index`` that is for readers; one has come."""
@@ -409,6 +412,8 @@ class Frames:
         kept = self._kept
         if not kept or kept[-1].index <= index:
             return []
+        if kept[-1].index == index + 1 == last:  # as long as readers keep up with the board
+            return [kept[-1]]
         place = self._place_after(index)
         wanted = last - kept[place].index + 1
         if wanted <= 1:

@@ -133,7 +133,7 @@ class CountReader:
         volts[...] = counts
         least, most = _middle_of_codes.unchecked(volts, self._step, self._lowest_volts)
         noise = self._noise.update(self._flat, self._silent)
-        noise = max(noise, self._design_noise)
+        noise = noise if noise > self._design_noise else self._design_noise
         guard = math.ceil(_GUARD * noise / self._step)  # codes
         if self._noise.frames < _MEASURED and not self._design_noise:
             first = _FIRST_GUARD if self._noise.frames == 1 else 0
@@ -141,7 +141,12 @@ class CountReader:
         if guard != self._guard:
             self._guard, self._usual_codes = guard, self._usual_within(guard)
         lowest, highest = self._usual_codes
-        jumped = self._jumped_to_limit(least, most)
+        room = self._last - most if self._rising else least - self._first  # codes, to a limit of the swing
+        # Whether a reading may have jumped, and by more than this.
+        jumped = (
+            room < 0.5 * self._codes
+            and self._noise.largest_change > (room if room > _JUMP * self._codes else _JUMP * self._codes) * self._step
+        )
         self._silent, self._in_doubt = 0, False
         if jumped or most >= highest or least < lowest or self._limited is not None:
             return self._read_limited(counts, most, noise, jumped=jumped)
@@ -202,13 +207,6 @@ class CountReader:
         An offset holds the output of an open cell there, and noise moves the reading as a current would.
         """
         return counts < self._first + guard if self._rising else counts >= self._last - guard
-
-    def _jumped_to_limit(self, least: float, most: float) -> bool:
-        """Whether a reading may have jumped, and by more than its distance from a limit of the swing."""
-        room = self._last - most if self._rising else least - self._first  # codes
-        if room >= 0.5 * self._codes:
-            return False
-        return bool(self._noise.largest_change > max(room, _JUMP * self._codes) * self._step)
 
     def _limited_and_under_range(
         self, counts: NDArray[np.integer], volts: FloatArray, guard: int, *, jumped: bool

@@ -34,7 +34,7 @@ class ArrivalTimes:
             return
         step_s = 0.0
         if self._last_s is not None:
-            step_s = max(received_s - self._last_s, 0.0) / frames
+            step_s = (received_s - self._last_s) / frames if received_s > self._last_s else 0.0
             self._intervals_s.append(step_s)
             # After a pause of the board its frames do not come more slowly than usual.
             step_s = min(step_s, self.usual_s) if frames > 1 else step_s

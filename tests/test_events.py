@@ -55,6 +55,15 @@ def test_amplifiers_settle_and_are_as_noisy_as_the_named_circuit(
 
 
 @pytest.mark.parametrize("idle", ["load", "float"])
+def test_each_column_of_a_divider_has_its_own_load(idle: str) -> None:
+    loads = [1e3, 1.0, 3e4, 200.0]
+    divider = {"circuit": "voltage-divider", "reference_resistance": loads, "idle_columns": idle}
+    design = named(divider, {"voltage": 3.3, "idle_rows": "float"})
+    settled = EventScan(design, CELLS, one_by_one(1e-3)).settled
+    np.testing.assert_allclose(settled, scan(design, CELLS).volts, rtol=1e-9)
+
+
+@pytest.mark.parametrize("idle", ["load", "float"])
 def test_dividers_settle_as_the_named_circuit(idle: str) -> None:
     load = {"circuit": "voltage-divider", "reference_resistance": 1e3, "column_capacitance": 1e-9}
     design = named(load | {"idle_columns": idle}, {"voltage": 3.3})
@@ -133,7 +142,7 @@ def test_what_has_no_linear_dynamics_is_refused() -> None:
     with pytest.raises(InputError, match=r"no \[scan\] section"):
         EventScan(design, [[1e3]])
     feedback = design.with_circuit("voltage-feedback")
-    with pytest.raises(InputError, match="has no networks at the ends"):
+    with pytest.raises(InputError, match="no scan by events"):
         EventScan(feedback, [[1e3]], Scan())
 
 

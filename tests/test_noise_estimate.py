@@ -142,6 +142,27 @@ def test_a_noise_that_quiet_frames_contradict_is_gone_after_twenty_of_them() -> 
     assert seen[62] < 10.0
 
 
+@pytest.mark.parametrize("pause", [4, 9, 15])
+def test_a_noise_that_has_paused_is_known_in_the_frame_in_which_it_returns(pause: int) -> None:
+    for seed in range(10):
+        noise = np.random.default_rng(seed).normal(scale=3.0 * STEP, size=(12 + pause, 8, 8))
+        noise[6 : 6 + pause] = 0.0
+        seen = measured(noise)
+        assert seen[5 + pause] < 3.0
+        assert min(seen[6 + pause :]) > 1.2
+
+
+def test_five_readings_that_move_each_by_itself_do_not_hide_a_noise() -> None:
+    known = []
+    for seed in range(60):
+        draw = np.random.default_rng(seed)
+        moving = np.cumsum(draw.normal(scale=400.0, size=(10, 1, 5)), axis=0)
+        moving[:6] = moving[6]
+        moving[6:] += draw.normal(scale=50.0, size=(4, 1, 5))
+        known.append(min(measured(moving * STEP)[8:10]))
+    assert np.mean(np.array(known) > 25.0) > 0.85
+
+
 def test_noise_on_a_few_readings_of_which_most_come_and_go_at_a_limit_is_not_multiplied() -> None:
     """Readings near a limit count as limited, but move and show the noise as any others do."""
     design = Design.model_validate(

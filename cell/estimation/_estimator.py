@@ -195,9 +195,6 @@ class Estimator:
         if blocks.shape != (elapsed_s.size, FIELDS, *self.shape):
             raise InputError(f"blocks have shape {blocks.shape}, expected {(elapsed_s.size, FIELDS, *self.shape)}")
         flat, self._settings["lasting"] = blocks.reshape(elapsed_s.size, FIELDS, self._rest_ohm.size), 1.0
-        if len(flat) == 1:
-            pressure, std = self._take(elapsed_s.item(0), np.ascontiguousarray(flat))
-            return pressure[None], std[None]
         return self._run(elapsed_s, elapsed_s.size, lambda frames: np.ascontiguousarray(flat[frames]))
 
     def _run(
@@ -250,9 +247,9 @@ class Estimator:
         if not 0.0 < elapsed_s < math.inf or not self._begun:
             elapsed_s = self._time(np.array([elapsed_s], dtype=np.float64)).item(0)
         answer = np.empty((2, 1, self._rest_ohm.size))
-        pressure, std = answer
-        self._frames([elapsed_s], block, self._one, pressure, std)
-        return pressure.reshape(self.shape), std.reshape(self.shape)
+        self._frames([elapsed_s], block, self._one, answer[0], answer[1])
+        pressure, std = answer.reshape(2, *self.shape)
+        return pressure, std
 
     def _frames(
         self,

@@ -17,7 +17,7 @@ from ._from_model import learned_from_model
 from ._identify import Task, find_drift, fits
 from ._measured import Layout, Role, load_recording, read_files
 from ._protocol import check_protocol, protocol_load, protocol_text
-from ._recording import Recording, check_resistances, checked_recording, read_recording
+from ._recording import Recording, check_resistances, checked_recording
 from ._recovery_curve import recovery_branches
 from ._rehearsal import READING_NOISE, rehearsed
 from ._remarks import remarks
@@ -46,7 +46,6 @@ __all__ = [
     "protocol_load",
     "protocol_text",
     "read_files",
-    "read_recording",
     "recovery_branches",
     "rehearsed",
     "remarks",

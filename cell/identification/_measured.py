@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 
 from ...common.arrays import FloatArray
-from ...common.tables import Table
+from ...common.tables import LINE, Table
 from ...common.units import Quantity, Unit, header_unit, unit_named
 from ...errors import InputError
-from ._recording import COLUMNS, Recording, checked_recording, read_recording, unrepeated
+from ._recording import COLUMNS, Recording, checked_recording, unrepeated
 from ._remarks import clock_shift_s
 
 Role = Literal["time", "load", "reading", "cell"]
@@ -95,7 +95,8 @@ def read_files(
     names = [name for name, role in zip(COLUMNS, ("time", "load", "reading"), strict=True) if role in roles]
     tables = [Table(path, note=note) for path in paths]
     if len(tables) == 1 and layout == Layout() and set(names) <= set(tables[0].header):
-        return read_recording(paths[0], names, note=note)
+        found_columns = tables[0].columns(names)
+        return unrepeated(str(paths[0]), found_columns, found_columns.pop(LINE), note)
     found = _found(tables, layout, roles)
     _confirm(found, layout, note)
     time = {column.table.path: _numbers(column) for column in found if column.role == "time"}

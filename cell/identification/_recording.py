@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
-from ...common.tables import LINE, TIME, read_columns
+from ...common.tables import TIME
 from ...errors import InputError
 from ..materials import smoothed, smoothing_s, white_noise
 
@@ -104,22 +103,6 @@ class Recording:
             pressure_kpa=self.pressure_kpa[kept],
             resistance_ohm=self.resistance_ohm[kept],
         )
-
-
-def read_recording(path: str | Path, names: Sequence[str], *, note: Callable[[str], None]) -> dict[str, FloatArray]:
-    """Columns of a recording, the first of which is ``time_s``; a few rows that repeat a time are left out.
-
-    Args:
-        path: of the CSV file.
-        names: of the columns.
-        note: told of rows that are left out.
-
-    Raises:
-        InputError: the file cannot be read, or times do not increase.
-    """
-    columns = read_columns(path, names, note=note)
-    line = columns.pop(LINE)
-    return unrepeated(str(path), columns, line, note)
 
 
 def unrepeated(

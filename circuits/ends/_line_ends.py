@@ -1,6 +1,6 @@
 """The ends of all lines of a board as cards, and as the numbers that the solvers of linear boards take.
 
-Row i ends in ``selected[i]`` or ``idle[i]``, column j in ``read[j // shared_by]`` or ``unread[j]``. Where every end is
+Row i ends in ``selected[i]`` or ``idle[i]``, column j in ``read[j]`` or ``unread[j]``. Where every end is
 linear and conducts like a resistance, its line law (:class:`._equations.PortLaw`) is all that the other lines can feel.
 The board then has the numbers of :class:`Rows` and :class:`Columns`. All other boards, with diodes, limited amplifiers,
 current sources or a reference that the ends share, are solved node by node (:mod:`..readouts._nodal`).
@@ -64,10 +64,10 @@ class LineEnds:
     selected: tuple[Network, ...]
     idle: tuple[Network, ...]
     read: tuple[Network, ...]
-    """one for each end, which ``shared_by`` columns share"""
+    """at each column while it has its turn"""
     unread: tuple[Network, ...]
-    """one for each column"""
     shared_by: int
+    """neighbouring columns that take turns at one end"""
     reference: Network
     """what holds the node ``ref``; empty: a stiff source of ``level``"""
     level: float
@@ -120,8 +120,7 @@ class LineEnds:
         for i in range(rows):
             yield f"r{i}", i, self.held(self.selected[i] if i == row else self.idle[i])
         for j in range(columns):
-            end = j // self.shared_by
-            name, network = (f"c{end}", self.read[end]) if read[j] else (f"idle{j}", self.unread[j])
+            name, network = (f"c{j // self.shared_by}", self.read[j]) if read[j] else (f"idle{j}", self.unread[j])
             yield name, rows + j, self.held(network)
         if self.reference:
             yield "ref", rows + columns, self.reference
@@ -145,14 +144,13 @@ class LineEnds:
 
     def columns(self, datum: Fraction) -> Columns | None:
         """The columns' ends as numbers, sources above ``datum`` in V; None where they are not of this kind."""
-        columns = len(self.unread)
         read = [_law(self.held(end), "column_end", self.out) for end in self.read]
         unread = [_law(self.held(end), "column_end.idle") for end in self.unread]
         found = [_thevenin(law, datum) for law in (*read, *unread)]
         known = np.array([end for end in found if end is not None])
         if len(known) < len(found):
             return None
-        resistance, source, output, slope = known[np.arange(columns) // self.shared_by].T
+        resistance, source, output, slope = known[: len(read)].T
         idle_resistance, idle_source = known[len(read) :, :2].T
         idle_resistance = np.where(idle_resistance >= OPEN_OHM, inf, idle_resistance)
         return Columns(resistance, source, output, slope, idle_resistance, idle_source)

@@ -321,7 +321,7 @@ def alone(ends: LineEnds, row: int, column: int, conductance: FloatArray) -> Flo
     one = LineEnds(
         selected=(ends.selected[row],),
         idle=(ends.idle[row],),
-        read=(ends.read[column // ends.shared_by],),
+        read=(ends.read[column],),
         unread=(ends.unread[column],),
         shared_by=1,
         reference=ends.reference,

@@ -12,11 +12,16 @@ if TYPE_CHECKING:
     from scipy.cluster.hierarchy import DisjointSet
 
 
+LARGEST_GAIN = 1e8
+"""of a voltage-controlled source: a larger one would multiply ngspice's rounding errors"""
+
+
 def spice_cards(network: Iterable[Card], node: Callable[[str], str], suffix: str) -> Iterator[str]:
     """Cards of a network for ngspice.
 
-    An amplifier is the equation ``out = out + (v+ - v- + Vos - out / A)``, limited to its supply: exact for any gain,
-    and for none. No card has a large number that stands for an ideal part.
+    An amplifier of finite gain is a voltage-controlled source. With a gain above :data:`LARGEST_GAIN` or infinite, or
+    with a supply that limits its output, it is the equation ``out = out + (v+ - v- + Vos - out / A)``, limited: exact
+    for any gain, and for none. No card has a large number that stands for an ideal part.
 
     Args:
         network: the parts.
@@ -28,6 +33,8 @@ def spice_cards(network: Iterable[Card], node: Callable[[str], str], suffix: str
         name, nodes = f"{card.name}{suffix}", tuple(map(node, card.nodes))
         at = " ".join(nodes)
         match card.kind:
+            case "c" if card.value == 0:
+                continue
             case "r" if card.value == 0:
                 yield f"V{name} {at} DC 0"
             case "v" | "i":
@@ -40,13 +47,18 @@ def spice_cards(network: Iterable[Card], node: Callable[[str], str], suffix: str
                 yield f".model {model} D(IS={card['is']!r} N={card['n']!r} RS={card['rs']!r})"
             case "x":
                 plus, minus, out = (f"v({each})" for each in nodes)
+                limited = isfinite(card["low"]) or isfinite(card["high"])
+                if card["bias_current"] and nodes[1] != GROUND:
+                    yield f"I{name} {nodes[1]} {GROUND} DC {card['bias_current']!r}"
+                if not limited and card["open_loop_gain"] <= LARGEST_GAIN:
+                    yield f"V{name} plus_{name} {nodes[0]} DC {card['offset_voltage']!r}"
+                    yield f"E{name} {nodes[2]} {GROUND} plus_{name} {nodes[1]} {card['open_loop_gain']!r}"
+                    continue
                 law = f"{out}+({plus}-{minus}+{card['offset_voltage']!r}"
                 law += f"-{out}/{card['open_loop_gain']!r})" if isfinite(card["open_loop_gain"]) else ")"
                 law = f"min({law},{card['high']!r})" if isfinite(card["high"]) else law
                 law = f"max({law},{card['low']!r})" if isfinite(card["low"]) else law
                 yield f"B{name} {nodes[2]} {GROUND} V = {law.replace(f'v({GROUND})', '0')}"
-                if card["bias_current"] and nodes[1] != GROUND:
-                    yield f"I{name} {nodes[1]} {GROUND} DC {card['bias_current']!r}"
             case _:
                 yield f"{name} {at} {card.value!r}"
 

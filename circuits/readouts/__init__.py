@@ -15,12 +15,10 @@
 :mod:`._adjoint`                   forward and adjoint port potentials, for the derivatives of readings
 :mod:`._quick`                     outputs and their fields by plain nodal analysis, without bounds
 :mod:`._rounding`                  bound on the rounding errors of outputs
-:mod:`._cards`                     names of nodes for their SPICE cards
 =================================  =====================================================================
 """
 
 from ._adjoint import SensitivityGroup
-from ._cards import COLUMN_INDEX, FOLLOWER, REFERENCE, ROW_INDEX, CardWriter
 from ._circuit import Reading, ReadoutCircuit
 from ._described import DESCRIBED, DESCRIBED_INVERTING
 from ._ends import EndParts, Ends, one_driven, sum_of_others, terminate
@@ -40,13 +38,8 @@ CIRCUITS: dict[str, ReadoutCircuit] = {
 
 __all__ = [
     "CIRCUITS",
-    "COLUMN_INDEX",
     "DESCRIBED",
     "DESCRIBED_INVERTING",
-    "FOLLOWER",
-    "REFERENCE",
-    "ROW_INDEX",
-    "CardWriter",
     "EndParts",
     "Ends",
     "LinearReadout",

@@ -17,7 +17,6 @@ import numpy as np
 from ...common.arrays import BoolArray, FloatArray, IntArray
 from .._parts import Parts
 from ._adjoint import SensitivityGroup
-from ._cards import CardWriter
 from ._ends import Ends
 from ._linear import LinearReadout
 from ._port_law import PortLaw
@@ -265,24 +264,6 @@ class ReadoutCircuit(ABC):
     @abstractmethod
     def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
         """Forward and adjoint port potentials of all readings, and their derivatives by the circuit's own parts."""
-
-    # SPICE
-
-    @abstractmethod
-    def column_end(self, j: int) -> str:
-        """SPICE name of the node behind column j's lead."""
-
-    @abstractmethod
-    def output_node(self, writer: CardWriter, j: int) -> str:
-        """SPICE name of column j's output."""
-
-    @abstractmethod
-    def cards(self, writer: CardWriter) -> Iterator[str]:
-        """SPICE cards of everything behind the column leads."""
-
-    def refuse_cards(self, writer: CardWriter) -> None:
-        """Raise SolverError where ideal parts contradict each other, or a netlist cannot express them."""
-        return
 
 
 class Alone(NamedTuple):

@@ -16,7 +16,6 @@ from ...common.arrays import BoolArray, FloatArray
 from .._parts import Parts
 from ..ends import OPEN_OHM, LineEnds, alone
 from ._adjoint import SensitivityGroup
-from ._cards import CardWriter
 from ._circuit import Alone, Reading
 from ._ends import EndParts, Ends
 from ._linear import LinearReadout
@@ -131,15 +130,6 @@ class Described(Terminated):
         else:
             yield from super().sensitivity_groups(board, ports, reading)
 
-    def column_end(self, j: int) -> str:
-        return f"line_{j}"
-
-    def output_node(self, writer: CardWriter, j: int) -> str:
-        raise NotImplementedError
-
-    def cards(self, writer: CardWriter) -> Iterator[str]:
-        raise NotImplementedError
-
 
 @lru_cache(maxsize=64)
 def _alone(ends: LineEnds) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -153,7 +143,7 @@ def _alone(ends: LineEnds) -> tuple[FloatArray, FloatArray, FloatArray]:
     known: dict[tuple[object, ...], tuple[float, float, float]] = {}
     for row in range(rows):
         for column in range(columns):
-            key = ends.selected[row], ends.idle[row], ends.read[column // ends.shared_by], ends.unread[column]
+            key = ends.selected[row], ends.idle[row], ends.read[column], ends.unread[column]
             if key not in known:
                 known[key] = _fraction(ends, row, column)
             rest[row, column], gain[row, column], span[row, column] = known[key]
@@ -167,7 +157,7 @@ def _curves(ends: LineEnds) -> tuple[tuple[FloatArray, FloatArray, BoolArray], .
     places: dict[tuple[object, ...], BoolArray] = {}
     for row in range(rows):
         for column in range(columns):
-            key = ends.selected[row], ends.idle[row], ends.read[column // ends.shared_by], ends.unread[column]
+            key = ends.selected[row], ends.idle[row], ends.read[column], ends.unread[column]
             places.setdefault(key, np.zeros((rows, columns), dtype=np.bool_))[row, column] = True
     log = np.linspace(*_CURVE, _CURVE_POINTS)
     found = []

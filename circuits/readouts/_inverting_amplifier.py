@@ -12,8 +12,7 @@ Programming, chapter 4).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from math import inf, isfinite, isinf
+from math import isfinite
 
 import numpy as np
 
@@ -22,14 +21,12 @@ from ...errors import SolverError
 from .._parts import Parts
 from ..solvers import IDEAL_WIRE, LARGEST_PART
 from ._adjoint import SensitivityGroup
-from ._cards import CardWriter
 from ._circuit import Alone, Reading
 from ._ends import EndParts, Ends, column_currents, terminate
 from ._port_law import PortLaw
 from ._terminated import SignArray, Terminated
 
 _MURTY_AFTER = 50  # rounds of pivoting all columns at once, before one column at a time, which cannot cycle
-_LARGEST_SPICE_GAIN = 1e8  # of a voltage-controlled source: a larger one would multiply ngspice's rounding errors
 
 
 class InvertingAmplifier(Terminated):
@@ -161,111 +158,3 @@ class InvertingAmplifier(Terminated):
 
     def alone(self, board: Parts) -> Alone:
         return Alone(-board.drive * board.reference, 0.0)
-
-    def column_end(self, j: int) -> str:
-        return f"minus_{j}"
-
-    def output_node(self, writer: CardWriter, j: int) -> str:
-        return f"out_{j}"
-
-    def refuse_cards(self, writer: CardWriter) -> None:
-        ends = [writer.name[self.column_end(j)] for j in range(writer.columns)]
-        for j, end in enumerate(ends):
-            if isinf(writer.board.gain[j]) and end in ends[:j] and end not in writer.drivers:
-                raise SolverError(
-                    f"columns {ends.index(end)} and {j} are joined by parts of 0 ohm, so that two ideal "
-                    "amplifiers share one input; give readout.open_loop_gain a finite value"
-                )
-
-    def cards(self, writer: CardWriter) -> Iterator[str]:
-        """One amplifier per column.
-
-        An amplifier of finite gain is a voltage-controlled source with its feedback resistor. With a gain above 1e8 or
-        infinite, or with a supply that limits its output, we write the amplifier as the equivalent that its column
-        sees. This form is exactly equivalent, but contains no large number and has a slope that Newton's method can
-        follow. With the current i out of the column, the gain A, the unlimited output
-        ``wanted = A/(1+A) (v_plus - Rref i)``, and ``lack``, the supply limit minus ``wanted`` beyond that limit and 0
-        within the supply::
-
-            v_minus = A/(1+A) v_plus + i Rref/(1+A) + lack        v_out = v_minus - Rref i
-        """
-        if writer.one_by_one:
-            yield from self._shared_amplifier(writer)
-            return
-        yield "* Inverting amplifiers, one per column."
-        if writer.board.supply != (-inf, inf):
-            yield "* lack_J: how far its supply keeps the output from the voltage that its feedback asks for."
-        for j in range(writer.columns):
-            yield from self._amplifier(writer, j)
-
-    def _shared_amplifier(self, writer: CardWriter) -> Iterator[str]:
-        """The equivalent of the amplifier at each column that is read, and its output."""
-        yield "* One inverting amplifier behind a switch: what each column sees of it, and what it puts out then."
-        ends, (low, high) = self.read_ends(writer.board), writer.board.supply
-        parts = (part.tolist() for part in (ends.resistance, ends.source, ends.output, ends.slope))
-        for j, (resistance, source, output, slope) in enumerate(zip(*parts, strict=True)):
-            minus = writer.name[self.column_end(j)]
-            if minus in writer.drivers or minus == writer.reference:
-                raise SolverError(
-                    f"column {j}'s amplifier sits directly on a driver or the reference (parts of 0 ohm); a netlist of "
-                    "multiplexed columns cannot express that, give array.column_lead a resistance"
-                )
-            yield from writer.switched_end(j, minus, f"{source!r}+{resistance!r}*i(Vend_{j})")
-            volts = f"{output!r}+{slope!r}*i(Vend_{j})"
-            volts = f"min({volts},{high!r})" if high < inf else volts
-            volts = f"max({volts},{low!r})" if low > -inf else volts
-            yield f"Bout_{j} out_{j} {writer.ground} V = {volts}"
-
-    def _amplifier(self, writer: CardWriter, j: int) -> Iterator[str]:
-        board, reference = writer.board, writer.reference
-        minus, out = writer.name[self.column_end(j)], f"out_{j}"
-        gain, rref, vos, bias = writer.amplifier_parts(j)
-        low, high = board.supply
-        limited = low > -inf or high < inf
-        if bias and minus != reference:
-            yield f"Ibias_{j} {minus} {reference} DC {bias!r}"
-        if not limited and gain <= _LARGEST_SPICE_GAIN:
-            yield f"Voffset_{j} plus_{j} {reference} DC {vos!r}"
-            yield f"Rref_{j} {minus} {out} {rref!r}"
-            yield f"Eamplifier_{j} {out} {writer.ground} plus_{j} {minus} {gain!r}"
-            return
-        if minus in writer.drivers:
-            yield f"* {minus} is held by a driver: the feedback cannot move it."
-            yield f"Vamplifier_{j} {out} {writer.ground} DC {self._comparator(writer, j)!r}"
-            yield f"Rref_{j} {minus} {out} {rref!r}"
-            return
-        # Vvirtual measures the column's current, which determines the potentials of the input and of the output.
-        at, share = f"in_{j}", 1.0 if isinf(gain) else gain / (1.0 + gain)
-        yield f"Vvirtual_{j} {minus} {at} DC 0"
-        yield f"Hrref_{j} {out} {at} Vvirtual_{j} {-rref!r}"
-        if limited:
-            wanted = f"{share!r}*({board.level!r}+{vos!r}-{rref!r}*i(Vvirtual_{j}))"
-            terms = [f"min({high!r}-{wanted},0)"] if high < inf else []
-            terms += [f"max({low!r}-{wanted},0)"] if low > -inf else []
-            yield f"Black_{j} {at} lack_{j} V = {'+'.join(terms)}"
-            at = f"lack_{j}"
-        if not isinf(gain):
-            yield f"Hinput_{j} {at} plus_{j} Vvirtual_{j} {rref / (1.0 + gain)!r}"
-            at = f"plus_{j}"
-        offset = share * vos - board.level / (1.0 + gain)
-        yield f"Voffset_{j} {at} {reference} DC {offset!r}"
-
-    def _comparator(self, writer: CardWriter, j: int) -> float:
-        """V: the output of amplifier j, whose inverting input sits on an ideal source."""
-        end = writer.name[self.column_end(j)]
-        gain, _, vos, _ = writer.amplifier_parts(j)
-        low, high = writer.board.supply
-        if writer.row is None:
-            raise SolverError(
-                f"column {j}'s amplifier sits directly on the driver of row {writer.drivers[end]}; "
-                "a sweep over the rows cannot express that, a netlist for each row can"
-            )
-        difference = vos - (0.0 if end == writer.reference else writer.board.drive)
-        output = gain * difference if difference else 0.0
-        if isinf(gain) and (not difference or isinf(high if difference > 0 else low)):
-            raise SolverError(
-                f"column {j}'s ideal amplifier sits directly on the driver of a row (parts of 0 ohm), so that "
-                "its output is not determined; give array.row_lead or the cell a resistance, or "
-                "readout.open_loop_gain a finite value"
-            )
-        return min(max(output, low), high)

@@ -6,13 +6,10 @@ loads as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from ...common.arrays import FloatArray
 from .._parts import Parts
-from ._cards import CardWriter
 from ._circuit import Alone
 from ._ends import EndParts, Ends
 from ._linear import LinearReadout
@@ -46,22 +43,3 @@ class VoltageDivider(Terminated):
 
     def alone(self, board: Parts) -> Alone:
         return Alone(board.drive * board.reference, board.reference)
-
-    def column_end(self, j: int) -> str:
-        return f"end_{j}"
-
-    def output_node(self, writer: CardWriter, j: int) -> str:
-        return writer.name[self.column_end(j)]
-
-    def cards(self, writer: CardWriter) -> Iterator[str]:
-        yield "* Loads; what is across them is read."
-        for j in range(writer.columns):
-            end, ohm = writer.name[self.column_end(j)], float(writer.board.reference[j])
-            if end == writer.reference:
-                yield f"* end_{j} is shorted to the reference"
-            elif writer.one_by_one and writer.board.idle_columns == "ground":
-                yield from writer.switched_end(j, end, f"{ohm!r}*i(Vend_{j})")
-            elif writer.one_by_one:
-                yield f"Bload_{j} {end} {writer.reference} I = {writer.chosen(j)} ? v({end})/{ohm!r} : 0"
-            else:
-                yield f"Rload_{j} {end} {writer.reference} {ohm!r}"

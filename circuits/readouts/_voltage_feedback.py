@@ -7,17 +7,14 @@ reads the follower's output.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import inf
 from typing import NamedTuple
 
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
-from ...errors import SolverError
 from .._parts import Parts
 from ..solvers import ULP, siemens
 from ._adjoint import SensitivityGroup, TiedPorts
-from ._cards import CardWriter
 from ._circuit import Contradiction, Reading
 from ._ends import sum_of_others, terminate
 from ._port_law import PortLaw
@@ -212,36 +209,3 @@ class VoltageFeedback(VoltageDivider):
             adjoint_lead_current=gain[..., None] * back[:, rows:],
             own_parts=own,
         )
-
-    def output_node(self, writer: CardWriter, j: int) -> str:
-        return writer.follower
-
-    def refuse_cards(self, writer: CardWriter) -> None:
-        ends = [writer.name[self.column_end(j)] for j in range(writer.columns)]
-        if len({*ends, *writer.drivers, writer.follower}) < len(ends) + len({*writer.drivers, writer.follower}):
-            raise SolverError(
-                "a column's end is joined to another one or to a row driver by parts of 0 ohm, which a netlist of the "
-                "voltage-feedback circuit cannot express; give array.column_lead a resistance"
-            )
-
-    def cards(self, writer: CardWriter) -> Iterator[str]:
-        """One follower, switched from column to column with its load.
-
-        The follower's law is written with the loop closed, so that no large gain appears. The source Vend_J measures
-        the current of column J's end. A chosen column ends in the load, every other one in the follower's output.
-        """
-        level, (low, high) = writer.board.level, writer.board.supply
-        yield "* The load of the chosen column, whose end the follower repeats to all idle lines and to the converter."
-        law = "0"
-        for j in reversed(range(writer.columns)):
-            gain, rref, vos, bias = writer.amplifier_parts(j)
-            end, chosen = writer.name[self.column_end(j)], writer.chosen(j)
-            yield f"Vend_{j} {end} at_{j} DC 0"
-            current = f"{rref!r}*(i(Vend_{j})-{bias!r})"
-            yield f"Bend_{j} at_{j} {writer.reference} V = {chosen} ? {current} : v({writer.follower})"
-            law = f"{chosen} ? {1 / (1 + 1 / gain)!r}*(v({end})+{level + vos!r}) : ({law})"
-        if high < inf:
-            law = f"min({law},{high!r})"
-        if low > -inf:
-            law = f"max({law},{low!r})"
-        yield f"Bfollower {writer.follower} {writer.ground} V = {law}"

@@ -316,7 +316,7 @@ def enclose(
                     lowest += of_column * down * total_low
                 changed = max(highest - middle, middle - lowest) / max(abs(middle), TINY)
             changed = math.inf if math.isnan(changed) else max(changed, 0.0)
-            change[i, j] = _MARGIN * changed * max(by_law[i, j] / max(estimate[i, j], TINY), 1.0)
+            change[i, j] = _MARGIN * changed * max(abs(by_law[i, j]) / max(estimate[i, j], TINY), 1.0)
             least[i, j] = max(below[i, j] - less_here, 0.0) if limited[i, j] else 0.0
             greatest[i, j] = math.inf
             if under_range[i, j] and low[i, j] > 0.0:

@@ -291,7 +291,7 @@ def relative_to(
             uncertainty[i, j] = math.inf
             if cells[i, j] > 0.0 and column_open[j] + row_open[i] < OPEN_SCALE:
                 beyond = math.expm1(min(linear[i, j] - own[i, j], LARGEST))
-                uncertainty[i, j] = (own[i, j] + beyond) * max(by_law[i, j] / cells[i, j], 1.0)
+                uncertainty[i, j] = (own[i, j] + beyond) * max(abs(by_law[i, j]) / cells[i, j], 1.0)
 
 
 @loop

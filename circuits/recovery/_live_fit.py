@@ -69,6 +69,7 @@ MOST_BESIDE = 256
 _SMALL = 100  # cells up to which the derivatives are a matrix
 _PRIOR = 3.0  # standard deviation of a logarithm before anything is read: a factor of 20
 _ALIKE_ERRORS = 20.0  # inverse of the relative change of the readings' errors up to which covariances are alike
+_GAINS = 0.9  # misfit after a step over the one before, from which on steps bring nothing more
 _FITS, _MISFIT = 0.8, 8.0  # half steps: by rounding alone, no cells give these readings
 _NEAR = 0.02  # change of a logarithm for which new derivatives are alike
 _DAMPED, _UNDAMPED, _MORE_DAMPED = 0.01, 1e-3, 5.0  # first, least and times the damping after steps that lead away
@@ -86,6 +87,7 @@ _BESIDE = 0.01  # conductance over the largest one of a column, from which on a 
 _OPENS = 0.1  # conductance of cells of unknown size over that of their column's end; derivatives leave its square out
 _TIES = 0.1  # share of a row's drive that a cell may take, from which on it ties the row to its column
 _MOST_TIED = 3  # cells whose intervals are gone through, corner by corner
+_PATH = 4  # points on the way of a cell of unknown size to a short
 _CORNER_STEPS, _CORNER_STEP = 8, 0.02  # steps to the cells at a corner, and change of a logarithm in the last one
 _TIED_STD = 0.4  # of the logarithm of such a cell: not valid, but derivatives are made anew when it moves
 _TIED_MOVES = 2.0  # most by which it may have moved by then
@@ -95,6 +97,18 @@ _OFTEN = 3  # frames with readings that no cells give, after which the design is
 _CONTRACTS = 0.5  # factor of a map that surely has one fixed point, with room for derivatives that change
 _CALM = 3  # frames by the same derivatives, after which those of many cells are worth a matrix
 _TYPICAL = 1e-5  # S, of a cell if no reading shows a conductance
+_NOTHING = np.empty((0, 0))
+
+
+class _Spread(NamedTuple):
+    """What errors of the readings leave open of n logarithms."""
+
+    std: FloatArray
+    """(n,) standard deviations; infinite where derivatives do not tell"""
+    by_derivatives: FloatArray
+    """(n,) the same by derivatives alone: finite, for steps on the way"""
+    follow: FloatArray | None
+    """(n, n) 1/V, changes by each reading of all logarithms of cells that may have any size; None: not made"""
 
 
 class _Linear(NamedTuple):
@@ -106,23 +120,37 @@ class _Linear(NamedTuple):
     """from readings (n,) in V to changes (n,) of the logarithms, by a factor of damping (Marquardt 1963)"""
     slope: FloatArray
     """(n,) 1/V, of each logarithm by its own reading if the cell were alone"""
-    std_at: Callable[[float], FloatArray]
-    """(n,) standard deviation of the logarithms by errors so many times those of ADC steps"""
+    spread_at: Callable[[float], _Spread]
+    """by errors of the readings so many times those of ADC steps"""
     behind: FloatArray
     """(n,) ohm, that each cell sees of its lines where nothing drives them"""
-    known: dict[float, FloatArray]
-    """results of ``std_at``"""
+    known: dict[float, _Spread]
+    """results of ``spread_at``"""
     inverse: FloatArray | None = None
     """(n, n) the matrix of ``solve``, transposed, where it was made"""
     amplified: float = inf
     """largest sum of the derivatives of a logarithm by those of all readings, where several answers are possible"""
 
-    def std(self, coarser: float) -> FloatArray:
+    def spread(self, coarser: float) -> _Spread:
         """The same, computed once for errors that are nearly alike."""
         kept = round(_ALIKE_ERRORS * np.log(coarser))
         if kept not in self.known:
-            self.known[kept] = self.std_at(coarser)
+            self.known[kept] = self.spread_at(coarser)
         return self.known[kept]
+
+    def std(self, coarser: float) -> FloatArray:
+        """(n,) standard deviations of the logarithms."""
+        return self.spread(coarser).std
+
+    def of_steps(self, coarser: float) -> FloatArray:
+        """(n,) the same, by derivatives where these do not tell: steps end there, too."""
+        spread = self.spread(coarser)
+        return np.where(np.isfinite(spread.std), spread.std, spread.by_derivatives)
+
+    def left(self, apart: FloatArray, coarser: float) -> FloatArray:
+        """(n,) change of the logarithms by readings (n,) in V that are left, if hardly known cells follow them."""
+        follow = self.spread(coarser).follow
+        return np.zeros(len(apart)) if follow is None else apart @ follow
 
     def distance(self, log: FloatArray, std: FloatArray) -> FloatArray:
         """(n,) change of the logarithms since then, of which their own errors count only as they tie lines."""
@@ -223,6 +251,7 @@ class FitLive:
         self._wide = False
         self._corners: _Corners | None = None
         self._damping, self._astray, self._in_vain, self._begun = 0.0, False, 0, False
+        self._still = False
         self.usual: Callable[[Frame], Measurement | None] | None = None
         self._calm = 0
         usual = cells <= MOST_BESIDE and self._sheet is None and not self._several
@@ -266,8 +295,11 @@ class FitLive:
         self._pinned = np.where(unread & ~self._hidden, self._closed_start(volts.ravel()).reshape(self._shape), lowest)
         found = self._fit(volts.ravel(), hypot(1.0, noise / self._std), start)
         if found is None:
-            return self._nothing(frame, DISTURBED if short.any() else UNSETTLED, unread | short)
-        return self._reading(frame, *found, self._spread(found[0], unread), unread)
+            # Where steps have come to their end beside cells of unknown size, no further frame brings more.
+            beside = short.any() or (self._still and unread.any())
+            return self._nothing(frame, DISTURBED if beside else UNSETTLED, unread | short)
+        log, std, left, misfit = found
+        return self._reading(frame, log, std, misfit, self._spread(log, unread) + np.abs(left), unread)
 
     def unread(self, frame: Frame) -> BoolArray:
         """As :class:`._usual_fits.Fit`."""
@@ -285,7 +317,7 @@ class FitLive:
         least, most = self._least.reshape(self._shape), self._most.reshape(self._shape)
         return self._short, least, most, self._beyond, wide
 
-    def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray] | None:
+    def kept(self, noise: float) -> tuple[FloatArray, ...] | None:
         """As :class:`._usual_fits.Fit`."""
         linear = self._linear
         if linear is None or self._log is None or self._astray or not self._read.all():
@@ -296,7 +328,10 @@ class FitLive:
             linear = self._linear = self._with_inverse(linear)
             if linear is None or linear.inverse is None:
                 return None
-        return self._log, linear.log, linear.behind, linear.inverse, linear.std(hypot(1.0, noise / self._std))
+        spread = linear.spread(hypot(1.0, noise / self._std))
+        loose = spread.follow is not None and bool((spread.std > HARDLY_KNOWN).any())
+        follow = spread.follow if loose else None
+        return self._log, linear.log, linear.behind, linear.inverse, spread.std, _NOTHING if follow is None else follow
 
     def follow(self, log: FloatArray) -> FloatArray:
         """As :class:`._usual_fits.Fit`."""
@@ -306,21 +341,32 @@ class FitLive:
     def _spread(self, log: FloatArray, unread: BoolArray) -> FloatArray:
         """Change (n,) of the logarithms over all conductances of the cells ``unread``, from their least to a short.
 
-        A cell changes a reading by a Moebius function of its conductance, hence most at the ends of its interval. The
-        others follow their readings there, by steps with the derivatives at hand; infinite where these do not end.
+        The others follow their readings, by steps with the derivatives at hand, through points at which the cell ties
+        its lines by equal differences; infinite where steps do not end. Between points they may be beyond them by an
+        eighth of their second differences.
         """
         if not unread.any() or np.count_nonzero(unread & ~self._hidden) > 1:  # several: by their corners
             return np.zeros(log.shape)
         assert self._linear is not None
         volts, known = self._at(log), self._linear.std(1.0) <= HARDLY_KNOWN
-        there = np.where(unread.ravel(), self._most, log)
-        for _ in range(_CORNER_STEPS):
-            step = self._linear.solve((volts - self._at(there)) * self._read, 0.0)
-            there = there + np.clip(step, -STRIDE, STRIDE)
-            left = np.abs(step)
-            if left[known].max(initial=0.0) < _CORNER_STEP:
-                return np.abs(there - log) + left
-        return np.full(log.shape, inf)
+        cell, behind = np.flatnonzero(unread), self._linear.behind
+        first, last = (1.0 / (1.0 + np.exp(-ends[cell]) / behind[cell]) for ends in (log, self._most))
+        path, most = [log], np.zeros(log.shape)
+        for part in range(1, _PATH + 1):
+            there, share = path[-1].copy(), first + (last - first) * part / _PATH
+            there[cell] = np.log(share / ((1.0 - share) * behind[cell])) if part < _PATH else self._most[cell]
+            for _ in range(_CORNER_STEPS):
+                step = self._linear.solve((volts - self._at(there)) * self._read, 0.0)
+                there = there + np.clip(step, -STRIDE, STRIDE)
+                left = np.abs(step)
+                if left[known].max(initial=0.0) < _CORNER_STEP:
+                    break
+            else:
+                return np.full(log.shape, inf)
+            path.append(there)
+            most = np.maximum(most, np.abs(there - log) + left)
+        most += np.abs(np.diff(path, 2, axis=0)).max(axis=0) / 8.0
+        return most
 
     def _closed_start(self, volts: FloatArray) -> FloatArray:
         """Logarithms (n,) as if each cell were alone."""
@@ -345,10 +391,13 @@ class FitLive:
 
     def _fit(
         self, volts: FloatArray, coarser: float, start: FloatArray | None
-    ) -> tuple[FloatArray, FloatArray, float] | None:
-        """Logarithms (n,), their standard deviation by ADC steps (n,), and the misfit; None: not settled."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
+        """Logarithms (n,), their standard deviation by ADC steps, change that is left, (n,) each, and the misfit.
+
+        None: not settled.
+        """
         steps, renewals = (STEPS, RENEWALS) if self._begun else (FIRST_STEPS, FIRST_RENEWALS)
-        self._begun = True
+        self._begun, self._still = True, False
         signal = volts.reshape(self._shape) - self._board.level
         slope = np.abs(self._board.circuit.log_conductance_slope(self._board, signal)).ravel()
         pinned = self._read == 0.0
@@ -371,22 +420,22 @@ class FitLive:
                 steps -= 1
                 if self._misfit(other_apart, coarser) < misfit:
                     log, apart, misfit = other, other_apart, self._misfit(other_apart, coarser)
-            still, before, begun = False, inf, self._linear
+            still, before, begun, gains = False, inf, self._linear, True
             while True:
                 linear = self._linear
-                if linear is None or linear.distance(log, linear.std(coarser)).max() > FAR:
+                if linear is None or linear.distance(log, linear.of_steps(coarser)).max() > FAR:
                     if renewals == 0:
                         break
                     linear, renewals = self._renewed(log), renewals - 1
                     self._linear = linear
-                std = linear.std(coarser)
+                std = linear.of_steps(coarser)
                 step = within(log + self._step(linear, apart, slope)) - log
                 loose = (std > HARDLY_KNOWN) & (linear.tied(log, log + step) <= FAR)
                 if misfit <= _FITS:  # cells that readings hardly tell would hop, and carry the others with them
                     step = np.where(loose, 0.0, step)
                 small = (np.abs(step) <= np.maximum(SETTLED * std, SMALL)) | loose
-                if small.all() and (misfit <= _FITS or not self._astray):
-                    still = self._damping < _UNDAMPED
+                if small.all() and (misfit <= _FITS or not gains):
+                    still = misfit <= _FITS or self._damping < _UNDAMPED
                     if still:
                         break
                 length = float(np.abs(step).max())
@@ -409,6 +458,7 @@ class FitLive:
                     before = inf
                     continue
                 self._damping = self._damping / _MORE_DAMPED if self._damping > _UNDAMPED else 0.0
+                gains = now < _GAINS * misfit
                 log, apart, misfit, before = trial, ahead, now, length
         except np.linalg.LinAlgError:
             self._log = self._linear = None
@@ -416,7 +466,7 @@ class FitLive:
         settled = still and misfit <= NO_FIT
         if self._sheet is not None and settled:
             settled = self._follow_sheet(log, coarser)
-        self._log, self._astray = log, not settled
+        self._log, self._astray, self._still = log, not settled, still
         self._calm = self._calm + 1 if settled and self._linear is begun else 0
         self._in_vain = self._in_vain + 1 if misfit > _MISFIT else 0
         if self._in_vain > _OFTEN:
@@ -429,7 +479,7 @@ class FitLive:
         if not settled or self._linear is None:
             return None
         moved = np.exp(np.minimum(np.abs(log - self._linear.log), 1.0))
-        return log, self._linear.std(coarser) * moved, misfit
+        return log, self._linear.std(coarser) * moved, self._linear.left(apart, coarser), misfit
 
     def _follow_sheet(self, log: FloatArray, coarser: float) -> bool:
         """Solve the continuous sheet anew if its cells have moved; False: the fit goes on in the next frame."""
@@ -466,7 +516,14 @@ class FitLive:
         if self._nodes is not None and self._read.all() and not self._wide:
             by_nodes = self._nodes.at(cells, np.full(self._shape, _PRIOR))
             std = by_nodes.std.ravel()
-            return _Linear(log, by_nodes.solve, slope, lambda coarser: coarser * std, self._behind(cells), {})
+            return _Linear(
+                log,
+                by_nodes.solve,
+                slope,
+                lambda coarser: _Spread(coarser * std, coarser * std, None),
+                self._behind(cells),
+                {},
+            )
         jacobian, factor = self._normal(cells)
 
         def solve(apart: FloatArray, damping: float = 0.0) -> FloatArray:
@@ -480,7 +537,7 @@ class FitLive:
             amplified = float(np.abs(np.linalg.inv(by_logs)).sum(axis=1).max())
         behind = self._behind(cells)
         return _Linear(
-            log, solve, slope, lambda coarser: self._std_of(log, jacobian, coarser), behind, {}, None, amplified
+            log, solve, slope, lambda coarser: self._spread_of(log, jacobian, coarser), behind, {}, None, amplified
         )
 
     def _behind(self, cells: FloatArray) -> FloatArray:
@@ -519,7 +576,7 @@ class FitLive:
             return None
         return linear._replace(inverse=np.ascontiguousarray(dpotrs(factor, jacobian.T / self._std, lower=1)[0].T))
 
-    def _std_of(self, log: FloatArray, jacobian: FloatArray, coarser: float) -> FloatArray:
+    def _spread_of(self, log: FloatArray, jacobian: FloatArray, coarser: float) -> _Spread:
         """Standard deviations (n,) of the logarithms with derivatives (n, n) in errors of a reading, ``coarser`` ones.
 
         Two cells of unknown size that tie lines to each other, or whose readings say no more than a bound, are beyond
@@ -535,15 +592,18 @@ class FitLive:
         tied |= unread
         least = np.where(unread, self._pinned.ravel() - _TIED_MOVES, least)
         places = np.flatnonzero(tied)
+        by_derivatives: FloatArray = np.sqrt(np.einsum("ij,ij->i", inverse, inverse))
         if len(places) < 2 or not np.isfinite(std).any():
-            return np.hypot(std, self._beyond_linear(log, inverse, jacobian, coarser))
+            std = np.hypot(std, self._beyond_linear(log, inverse, jacobian, coarser))
+            return _Spread(std, by_derivatives, (jacobian @ inverse) @ inverse.T / (coarser**2 * self._std))
         if len(places) > _MOST_TIED or self._cells > _SMALL or self._sheet is not None:
-            return np.full(len(std), inf)
+            return _Spread(np.full(len(std), inf), by_derivatives, None)
         kept = self._corners
         if kept is None or not kept.serve(log, tied, self._read, least + _TIED_MOVES, coarser):
             beside = self._beside_tied(log, places, least, coarser)
             kept = self._corners = _Corners(log, tied, self._read, least, coarser, beside)
-        return np.where(tied, _TIED_STD, kept.std * np.exp(np.abs(log - kept.log)))
+        std = np.where(tied, _TIED_STD, kept.std * np.exp(np.abs(log - kept.log)))
+        return _Spread(std, by_derivatives, None)
 
     def _beside_tied(self, log: FloatArray, places: NDArray[np.intp], least: FloatArray, coarser: float) -> FloatArray:
         """Standard deviations (n,) of the others while cells ``places`` are anywhere from ``least`` (n,) to a short.

@@ -169,6 +169,7 @@ def measure_fitted(
     volts: Rows,
     solver: Rows,
     spread: FixedRow,
+    follow: Rows,
     of_rows: Rows,
     of_columns: Rows,
     of_cells: Blocks,
@@ -197,6 +198,7 @@ def measure_fitted(
         volts: readings.
         solver: (N M, N M) 1/V, changes by each reading of all logarithms.
         spread: (N M,) standard deviations of the logarithms.
+        follow: like the solver, if hardly known cells may have any size; (0, 0): there are none.
         of_rows: and ``of_columns`` as of :func:`fitted_volts`; ``of_cells`` (9, N, M) by the places above, of which
             those of the last frame are changed.
         drive: V; ``level`` of the reference.
@@ -257,16 +259,21 @@ def measure_fitted(
             made_at, behind = of_cells[MADE_AT, i, j], of_cells[BEHIND, i, j]
             if not distance(log[i, j], made_at, spread[i * columns + j], behind) <= FAR:
                 return False
-    conductance, std, per_volt, more = model, grid[0], grid[1], grid[2]
+    conductance, std, per_volt, more = log, grid[0], grid[1], grid[2]
     for i in range(rows):
         for j in range(columns):
-            place = i * columns + j
+            place, left = i * columns + j, 0.0
             of_cells[LOG, i, j], of_cells[MODEL, i, j] = log[i, j], model[i, j]
-            conductance[i, j], more[i, j] = math.exp(log[i, j] + step[place]), 0.0
+            if len(follow):  # what hardly known cells have left to go belongs to the others
+                for one in range(rows):
+                    for other in range(columns):
+                        left += follow[one * columns + other, place] * (volts[one, other] - model[one, other])
+            more[i, j] = math.expm1(min(abs(left), LARGEST))
             std[i, j] = spread[place] * math.exp(min(abs(log[i, j] - of_cells[MADE_AT, i, j]), 1.0))
             above = volts[i, j] - level - of_columns[REST, j]
             slope = above * (1.0 - above / of_columns[GAIN, j] * of_columns[SPAN, j])
             per_volt[i, j] = abs(1.0 / slope) if slope != 0.0 else math.inf
+            conductance[i, j] = math.exp(log[i, j] + step[place])
     found = conductance, std, per_volt, more, misfit
     flags = nowhere, nowhere, nowhere
     state_fitted(volts, level, *found, of_cells[SHORT], *flags, converter, boards, surely, usual, noise, block, reason)
@@ -359,12 +366,13 @@ class Fit(Protocol):
         """Cells (N, M) of a frame in line coordinates whose readings state bounds only."""
         ...
 
-    def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray] | None:
+    def kept(self, noise: float) -> tuple[FloatArray, ...] | None:
         """What a stream goes on with, for V of noise; None where the last frame left nothing.
 
         Logarithms (n,) of the last frame, and those at which the derivatives were made; ohm (n,) of the lines that each
-        cell sees there; the regularised inverse of the derivatives (readings, logarithms) in 1/V, and the standard
-        deviations (n,) of the logarithms.
+        cell sees there; the regularised inverse of the derivatives (readings, logarithms) in 1/V; the standard
+        deviations (n,) of the logarithms; and, where some are hardly known, the inverse by which these follow the
+        readings, else an empty one.
         """
         ...
 
@@ -439,7 +447,7 @@ class UsualFits:
             frame = frame.in_lines(self._turn)
         if some and self._fit.unread(frame).any():
             return None
-        log, made_at, behind, solver, spread = kept
+        log, made_at, behind, solver, spread, follow = kept
         begun = log is self._log
         if not begun:
             self._of_cells[LOG] = log.reshape(self._shape)
@@ -447,7 +455,7 @@ class UsualFits:
             self._of_cells[MADE_AT], self._of_cells[BEHIND] = made_at.reshape(self._shape), behind.reshape(self._shape)
             self._solver = solver
         measured = Measurement.unknown(frame.each.shape)
-        given = solver, spread, self._of_rows, self._of_columns, self._of_cells, *self._numbers, self._constants
+        given = solver, spread, follow, self._of_rows, self._of_columns, self._of_cells, *self._numbers, self._constants
         done = measure_fitted.unchecked(
             *(frame.volts, *given, begun, self._nowhere, frame.noise, frame.usual, frame.each),
             *(*self._work, measured.block, measured.reason),

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.arrays import FloatArray
-from ...errors import MissingExtra, SolverError
+from ...errors import MissingExtra
 from .._design import Design
-from ..readouts import REFERENCE
-from ._netlist import Deck, frame_deck, step_deck
+from ..ends import GROUND
+from ._netlist import frame_decks
 from ._ngspice import Vectors, command_available, run_command
 from ._pyspice import library_available, run_library
 
 
 def spice_scan(design: Design, resistance: ArrayLike, run: Callable[[str], Vectors] | None = None) -> FloatArray:
-    """The outputs of one frame in V, (rows, columns): one ``.dc`` sweep, or a few extreme circuits row by row.
+    """The outputs of one frame in V, (rows, columns), by the operating point of each of its steps.
 
     Args:
         run: :func:`run_library` or :func:`run_command`; None: the library if PySpice is installed, else the command.
@@ -27,14 +27,13 @@ def spice_scan(design: Design, resistance: ArrayLike, run: Callable[[str], Vecto
         MissingExtra: what ``run`` needs is not installed; of None, neither of both.
         SolverError: contradictory ideal parts, or no convergence.
     """
-    if run is None:
-        run = _first_installed()
-    try:
-        deck = frame_deck(design, resistance)
-    except SolverError:  # ideal parts that only the netlist of a single row can express
-        decks = [step_deck(design, resistance, row) for row in range(design.array.rows)]
-        return np.vstack([_volts(deck, run(deck.batch_text()))[0] for deck in decks])
-    return design.board.turn(_volts(deck, run(deck.batch_text())).reshape(design.board.shape))
+    run = run or _first_installed()
+    board = design.board
+    volts = np.empty(board.shape)
+    for places, deck in frame_decks(design, resistance):
+        vectors = {GROUND: np.zeros(1)} | run(deck.batch_text())
+        volts.flat[places] = [vectors[node][0] for node in deck.outputs]
+    return board.turn(volts)
 
 
 def _first_installed() -> Callable[[str], Vectors]:
@@ -43,14 +42,3 @@ def _first_installed() -> Callable[[str], Vectors]:
     if (no_command := command_available()) is None:
         return run_command
     raise MissingExtra(f"{no_library}; {no_command}")
-
-
-def _volts(deck: Deck, vectors: Vectors) -> FloatArray:
-    """The outputs of a deck against board ground, (points of the row sweep, columns)."""
-    points = len(next(iter(vectors.values())))
-    potential = {REFERENCE: np.zeros(points)} | vectors
-    volts = np.column_stack([potential[node] for node in deck.outputs]) - potential[deck.ground][:, None]
-    if not deck.one_by_one:
-        return volts
-    columns = len(deck.outputs)
-    return volts.reshape(-1, columns, columns).diagonal(axis1=1, axis2=2)

@@ -97,6 +97,8 @@ class EventScan:
         if scan is None:
             raise InputError("the design has no [scan] section; expected the events of a scan")
         self._events, self._adc, self._temperature = scan, design.adc, design.readout.temperature
+        if design.board.turned or design.board.circuit.drives_idle_lines:
+            raise InputError(f'readout.circuit = "{design.readout.circuit}" has no scan by events')
         self._board = board = design.board_by_nodes
         assert board.line_ends is not None
         self._ends = board.line_ends
