@@ -8,13 +8,13 @@ import warnings
 import numpy as np
 import pytest
 from boards import Flow, frame, identity, sheet
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from ohmskin.driver import Skin
-from ohmskin.driver._clock import STEP_S, ClockMap, Pace
-from ohmskin.driver._spacing import ArrivalTimes
+from ohmskin.driver._clock import LARGEST_DRIFT, SHORTEST_SPAN_S, STEP_S, ClockMap, Pace
+from ohmskin.driver._spacing import KEPT, ArrivalTimes
 from ohmskin.wire import BOARDS, FramePacket, board_protocol
 
 
@@ -137,6 +137,53 @@ def test_the_line_is_the_best_of_all_lines_below_the_arrivals() -> None:
     assert clock.drift_ppm == pytest.approx(1e6 * best.x[1], rel=1e-6, abs=1e-6)
 
 
+@given(st.floats(-0.18, 0.12), st.floats(1e-5, 0.02), st.integers(0, 2**32 - 1))
+@settings(max_examples=30)
+def test_the_line_lies_below_all_arrivals_and_touches_one(drift: float, delay_s: float, seed: int) -> None:
+    """Also beyond the steepest slope that counts, where the edge of the hull is not the line. A frame per bucket."""
+    random = np.random.default_rng(seed)
+    device_s = np.cumsum(random.uniform(0.31, 0.45, 60))
+    received_s = 7.0 + device_s * (1.0 + drift) + random.uniform(0.0, delay_s, 60)
+    clock, x, y = ClockMap(), device_s - device_s[0], received_s - received_s[0] - (device_s - device_s[0])
+    for n in range(60):
+        clock.add(device_s[n].item(), received_s[n].item())
+        if clock.pace is not Pace.EVEN or clock.steps:
+            return
+        off = y[: n + 1] - [clock._line(each) for each in x[: n + 1].tolist()]
+        if clock._drift is None:
+            assert x[max(n - 1, 0)] - x[0] < SHORTEST_SPAN_S
+            continue
+        assert abs(clock._drift) <= LARGEST_DRIFT
+        assert off.min() == pytest.approx(0.0, abs=1e-9)
+
+
+@given(st.floats(-0.1, 0.1), st.floats(1e-4, 0.02), st.integers(0, 2**32 - 1))
+@settings(max_examples=20)
+def test_a_frame_that_the_line_touches_stays_above_the_next_line(drift: float, delay_s: float, seed: int) -> None:
+    """Though buckets keep the frame with the least delay by a level line, which need not be that one."""
+    random = np.random.default_rng(seed)
+    device_s = np.cumsum(random.uniform(0.01, 0.1, 600))
+    clock = ClockMap()
+    for x, y in zip(device_s, 7.0 + device_s * (1.0 + drift) + random.uniform(0.0, delay_s, 600), strict=True):
+        touched = clock._anchor
+        clock.add(x.item(), y.item())
+        assert clock._line(touched[0]) <= touched[1] + 1e-9
+
+
+def test_a_pause_of_the_clock_leaves_its_drift_as_it_was() -> None:
+    """Until the line has been found over as long a time as before: three seconds of delays say little of a drift."""
+    random = np.random.default_rng(4)
+    device_s = np.arange(0.0, 33.0, 0.01)
+    received_s = device_s * 1.0002 + np.where(device_s > 30.0, 0.5, 0.0) + delays(random, device_s.size)
+    clock, drift = ClockMap(), 0.0
+    for x, y in zip(device_s.tolist(), received_s.tolist(), strict=True):
+        drift = clock.drift_ppm if x < 29.5 else drift
+        clock.add(x, y)
+    mapped(clock, device_s[-1] + 0.01 * np.arange(1.0, 100.0), received_s[-1] + 0.01 * np.arange(1.0, 100.0))
+    assert clock.steps == 1
+    assert clock.drift_ppm == pytest.approx(drift, abs=20.0)
+
+
 @pytest.mark.parametrize("pause_s", [0.5, 0.04])
 def test_a_clock_that_pauses_is_followed_after_three_seconds(pause_s: float) -> None:
     """An emulated board on a machine that was too slow for half a second. Pauses below 50 ms could be delays."""
@@ -170,6 +217,28 @@ def spread(arrivals: list[tuple[float, int]]) -> np.ndarray:
         times.arrive(received_s, frames)
         found += [times.next(received_s) for _ in range(frames)]
     return np.array(found)
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(1, 5)), min_size=1, max_size=200))
+@settings(max_examples=30)
+def test_frames_of_an_arrival_are_spread_backwards_by_the_usual_interval(steps: list[tuple[float, int]]) -> None:
+    """The median of the last intervals, this one's at most; a frame beyond those that came has come now."""
+    times, received_s, intervals = ArrivalTimes(), 5.0, []
+    assert times.next(received_s) == received_s
+    assert times.usual_s == 0.0
+    for number, (step_s, frames) in enumerate(steps):
+        received_s += step_s
+        times.arrive(received_s, frames)
+        apart_s = 0.0
+        if number:
+            intervals.append(step_s / frames)
+            apart_s = min(intervals[-1], np.median(intervals[-KEPT:]))
+            assert times.usual_s == pytest.approx(np.median(intervals[-KEPT:]), rel=1e-9, abs=1e-12)
+        found = [times.next(received_s) for _ in range(frames + 1)]
+        expected = received_s - apart_s * np.r_[np.arange(frames - 1, -1, -1), 0]
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9)
+        times.arrive(received_s + 0.5, 0)  # bytes without a frame are no arrival
+        assert times.next(received_s + 0.5) == received_s + 0.5
 
 
 @given(st.lists(st.tuples(st.floats(1e-4, 1.0), st.integers(0, 30)), min_size=1, max_size=60), st.floats(0, 1e5))
