@@ -107,8 +107,10 @@ class _Spread(NamedTuple):
     """(n,) standard deviations; infinite where derivatives do not tell"""
     by_derivatives: FloatArray
     """(n,) the same by derivatives alone: finite, for steps on the way"""
-    follow: FloatArray | None
-    """(n, n) 1/V, changes by each reading of all logarithms of cells that may have any size; None: not made"""
+    solve: Callable[[FloatArray], FloatArray] | None
+    """from readings (n,) in V to changes (n,) of the logarithms of cells that may have any size; None: not made"""
+    follow: FloatArray | None = None
+    """(n, n) the matrix of ``solve``, transposed, where it was made"""
 
 
 class _Linear(NamedTuple):
@@ -149,8 +151,8 @@ class _Linear(NamedTuple):
 
     def left(self, apart: FloatArray, coarser: float) -> FloatArray:
         """(n,) change of the logarithms by readings (n,) in V that are left, if hardly known cells follow them."""
-        follow = self.spread(coarser).follow
-        return np.zeros(len(apart)) if follow is None else apart @ follow
+        solve = self.spread(coarser).solve
+        return np.zeros(len(apart)) if solve is None else solve(apart)
 
     def distance(self, log: FloatArray, std: FloatArray) -> FloatArray:
         """(n,) change of the logarithms since then, of which their own errors count only as they tie lines."""
@@ -329,9 +331,10 @@ class FitLive:
             if linear is None or linear.inverse is None:
                 return None
         spread = linear.spread(hypot(1.0, noise / self._std))
-        loose = spread.follow is not None and bool((spread.std > HARDLY_KNOWN).any())
-        follow = spread.follow if loose else None
-        return self._log, linear.log, linear.behind, linear.inverse, spread.std, _NOTHING if follow is None else follow
+        follow = _NOTHING
+        if spread.solve is not None and (spread.std > HARDLY_KNOWN).any():
+            follow = linear.inverse if spread.follow is None else spread.follow
+        return self._log, linear.log, linear.behind, linear.inverse, spread.std, follow
 
     def follow(self, log: FloatArray) -> FloatArray:
         """As :class:`._usual_fits.Fit`."""
@@ -593,7 +596,8 @@ class FitLive:
         by_derivatives: FloatArray = np.sqrt(np.einsum("ij,ij->i", inverse, inverse))
         if len(places) < 2 or not np.isfinite(std).any():
             std = np.hypot(std, self._beyond_linear(log, inverse, jacobian, coarser))
-            return _Spread(std, by_derivatives, (jacobian @ inverse) @ inverse.T / (coarser**2 * self._std))
+            follow = (jacobian @ inverse) @ inverse.T / (coarser**2 * self._std)
+            return _Spread(std, by_derivatives, follow.T.__matmul__, follow)
         if len(places) > _MOST_TIED or self._cells > _SMALL or self._sheet is not None:
             return _Spread(np.full(len(std), inf), by_derivatives, None)
         kept = self._corners
