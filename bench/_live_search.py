@@ -11,8 +11,8 @@ the driver's :class:`.CountReader` takes the counts. Findings:
 
 Nobody can know of a noise before it is in four readings that are not at a limit, and of two frames nobody can say
 whether noise or a press has changed them. Cells that are off in the first two frames of a noise larger than the reader
-assumes or has seen are counted as *surprised* and are no findings, as long as a reader that knows the noise has none in
-that frame. For the same reason noise may carry a cell beyond a factor of two within five standard
+assumes or has seen for some frames are counted as *surprised* and are no findings, as long as a reader that knows the
+noise has none in that frame. For the same reason noise may carry a cell beyond a factor of two within five standard
 deviations: of the readings of a cell whose uncertainty just suffices, 3 in 1000 are beyond three.
 """
 
@@ -29,6 +29,7 @@ from ._live_streams import LiveStream, stream
 from .harness import column
 
 _LEAST_SHOWN = 4  # readings that have shown a noise before a reader can know of it
+_LASTED = 4  # frames of a noise that is past, of which a reader can know that it was one and no press
 _ASSUMED_NOISE = 0.5  # ADC steps that the reader assumes in the first frame
 
 
@@ -125,6 +126,8 @@ def _known_noise(noise_steps: FloatArray, free: list[int]) -> float:
     """
     known = _ASSUMED_NOISE
     for noise in noise_steps:
+        if noise_steps[-1] < noise and np.count_nonzero(noise_steps >= noise) < _LASTED:
+            continue
         if sum(count for count, each in zip(free, noise_steps, strict=False) if each >= noise) >= _LEAST_SHOWN:
             known = max(known, float(noise))
     return known

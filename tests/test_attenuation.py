@@ -65,16 +65,6 @@ def test_full_scale_errors_are_of_the_expected_size(size: int, segment: float, p
     assert published / 3 < (exact - known.transfer).max() / exact.max() < 3 * published
 
 
-@pytest.mark.parametrize(("line", "cell"), [(1e37, 1e-43), (1e36, 3e-46), (1e30, 1e-41), (1e8, 1e-41)])
-def test_the_certificate_holds_for_cells_that_single_precision_cannot_hold(line: float, cell: float) -> None:
-    ideal, cells = np.full((4, 5), np.inf), np.full((4, 5), cell)
-    lines = Lines(np.full((4, 5), 1.0 / line), ideal, ideal[0])  # no current comes back from columns: losses are all
-    known = attenuate(cells, Wires.of(lines))
-    assert known is not None
-    exact = exact_transfer(cells, lines)[0]
-    assert (np.abs(exact - known.transfer) <= known.error + EXACT * exact).all()
-
-
 def test_ideal_lines_attenuate_nothing() -> None:
     cells = ordinary(6)
     wires = Wires.of(Lines(np.full((6, 6), np.inf), np.full((6, 6), np.inf), np.full(6, np.inf)))

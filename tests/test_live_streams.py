@@ -46,6 +46,8 @@ FOUND = {
     "an idle column stands elsewhere than the one that is read": ["multiplexed:430000163"],
     "saturated cells of one column beside each other": ["inverting:900037", "inverting:900078"],
     "shorts in the only row": ["feedback:440000146"],
+    "a cell at a limit that stands elsewhere than at its end": ["open loaded:530000067"],
+    "a column of open scale": ["divider:530000135"],
     "an open cell of which the law makes less than nothing": ["inverting:530000042"],
     "steps that are small beside each cell's deviation": ["open divider:210000053", "pulled divider:430000020"],
     "what hardly known cells have left to go": [f"pulled divider:{number}" for number in (440000031, 210000034)],

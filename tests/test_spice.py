@@ -32,9 +32,9 @@ Runner = Callable[[str], dict[str, Any]]
 
 
 @pytest.mark.parametrize("number", range(10))
-@pytest.mark.parametrize("family", ["ordinary", "mixed lines"])
+@pytest.mark.parametrize("family", ["ordinary", "mixed lines", "one line", "faults", "ties"])
 def test_a_frame_agrees_with_the_reference_and_with_the_solver(family: str, number: int) -> None:
-    """Random small grids of every kind."""
+    """Random small grids of every kind, with open cells and lines that no cell connects."""
     need(library_available() or command_available())
     design, cells = search.sample(family, number)
     read = spice_scan(design, cells, run_command if number % 3 == 0 else run_library)

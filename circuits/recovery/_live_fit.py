@@ -441,7 +441,8 @@ class FitLive:
         except np.linalg.LinAlgError:
             self._log = self._linear = None
             return None
-        settled = still and misfit <= NO_FIT
+        # What a cell at a limit leaves of the other readings is no noise: it stands elsewhere in its interval.
+        settled = still and misfit <= (_FITS if pinned.any() else NO_FIT)
         if self._sheet is not None and settled:
             settled = self._follow_sheet(log, coarser)
         self._log, self._astray, self._still = log, not settled, still
@@ -494,14 +495,11 @@ class FitLive:
         if self._nodes is not None and self._read.all() and not self._wide:
             by_nodes = self._nodes.at(cells, np.full(self._shape, _PRIOR))
             std = by_nodes.std.ravel()
-            return _Linear(
-                log,
-                by_nodes.solve,
-                slope,
-                lambda coarser: _Spread(coarser * std, coarser * std, None),
-                self._behind(cells),
-                {},
-            )
+
+            def spread(coarser: float) -> _Spread:
+                return _Spread(coarser * std, coarser * std, by_nodes.solve)
+
+            return _Linear(log, by_nodes.solve, slope, spread, self._behind(cells), {})
         jacobian, factor = self._normal(cells)
 
         def solve(apart: FloatArray, damping: float = 0.0) -> FloatArray:

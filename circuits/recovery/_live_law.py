@@ -207,7 +207,7 @@ class LawLive:
             counted = counted if unknown is None else counted & ~unknown
         by_law, off = by_law.copy(), self._frames.linear + self._frames.others
         cells, left, settled = factors(by_law, self._frames.relative, off, counted, self._rule.limit)
-        if not settled and fit is not None:
+        if not settled and fit is not None and self._frames.lone():
             return fit.read(frame, cells)
         if self._some_hidden and settled:
             self._frames.by_hidden[...] = self._of_hidden(cells)

@@ -5,7 +5,6 @@
 :mod:`._dissection`       nested dissection of plain grids, for whole frames and batches of frames
 :mod:`._network`          nested dissection of any resistor network: bridged lines, continuous sheets
 :mod:`._ports`            a grid's port conductances and transfer conductances by the two above
-:mod:`._ladders`          ladder networks (single lines with their cells) by continued fractions
 :mod:`._attenuation`      the first term of a Neumann series, with a certificate
 :mod:`._exact`            transfer conductances, with a bound on each one's rounding error
 ========================  ==============================================================================================
