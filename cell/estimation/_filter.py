@@ -538,7 +538,7 @@ def merge(e: Estimates, c: Candidates, scale: float, t: Step, forget: float) -> 
     for j in range(MODES):
         w = c.w[j]
         if forget < 1.0 and w > 0.0:
-            w = math.pow(max(w, 1e-12), forget) * math.pow(t.usual[j], 1.0 - forget)
+            w = t.usual[j] * math.pow(max(w, 1e-12) / t.usual[j], forget)
         e.w[j] = w
         total += w
     for j in range(MODES):
