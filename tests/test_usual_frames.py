@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from designs import digitised
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ohmskin.circuits import Design, adc_codes, live_recovery, scan
+from ohmskin.circuits import Design, Reason, adc_codes, live_recovery, scan
 from ohmskin.circuits.recovery._usual_fits import UsualFits
 from ohmskin.common.measurement import Measurement
 from ohmskin.driver import CountReader
@@ -170,6 +171,51 @@ def test_the_short_way_of_unheld_rows_is_right_and_as_sure_as_the_whole_recovery
         assert (one.valid == other.valid).mean() > 0.9
         np.testing.assert_allclose(one.uncertainty[one.valid], other.uncertainty[one.valid], rtol=0.6)
     assert sum(went) >= 6
+
+
+@pytest.mark.parametrize("kind", [kind for kind, (circuit, *_) in UNHELD.items() if circuit == "voltage-divider"])
+@pytest.mark.parametrize("ohm", [0.5, np.inf])
+def test_a_short_or_an_open_cell_that_stays_costs_unheld_rows_the_short_way_once(kind: str, ohm: float) -> None:
+    """Readings like those of a short or of nothing are readings; nothing is wrong in those frames."""
+    design, draw = unheld(kind, 14, 6, 5, 25.0, 1e4), np.random.default_rng(3)
+    reference = float(np.max(design.readout.reference_resistance))
+    short, _, went = readers(design)
+    rest = reference * 10 ** draw.uniform(0.3, 0.8, (6, 5))
+    for frame in range(40):
+        cells = rest * (1.0 + 0.005 * np.sin(frame))
+        if frame >= 10:
+            cells[2, 3] = ohm
+        found = short(adc_codes(design, scan(design, cells).volts))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.abs(found.resistance / cells - 1.0) / found.uncertainty
+        assert (off[found.valid] <= 1.0).all()
+    assert sum(went[-10:]) >= 8
+    assert found.valid.sum() >= 20
+
+
+FAULTS = (
+    {"kind": "shorted-cell", "place": (1, 2), "resistance": 2e4},
+    {"kind": "open-cell", "place": (3, 0), "resistance": 5e3},
+    {"kind": "broken-row", "place": (2, 4)},
+)
+
+
+@pytest.mark.parametrize(("kind", "number"), [*product(["grounded"], range(3)), *product(["divider"], range(2))])
+def test_boards_with_named_faults_go_the_short_way_too(kind: str, number: int) -> None:
+    """But for cells behind a break on dividers, which join lines that nothing holds."""
+    fault = FAULTS[number]
+    design, draw = board(kind, 14, 6, 5), np.random.default_rng(4)
+    design = Design.model_validate(design.model_dump() | {"fault": [fault]})
+    short, _, went = readers(design)
+    hidden, rest = np.zeros((6, 5), dtype=np.bool_), 8e3 * 10 ** draw.uniform(-0.2, 0.2, (6, 5))
+    hidden[2, 4] = fault["kind"] == "broken-row"
+    for _ in range(12):
+        cells = rest * draw.uniform(0.999, 1.001)
+        found = short(adc_codes(design, scan(design, cells).volts))
+        assert (found.valid == ~hidden).all()
+        assert (np.abs(found.resistance / cells - 1.0) <= found.uncertainty)[found.valid].all()
+        assert (found.reason[hidden] == Reason.HIDDEN).all()
+    assert all(went[2:])
 
 
 @settings(max_examples=40)

@@ -84,11 +84,6 @@ class ValidityRule:
         """The rule for an accuracy that a user asks for; None: :data:`ACCURACY`."""
         return cls() if accuracy is None else cls(accuracy, averages=False)
 
-    def accepts(self, uncertainty: FloatArray) -> BoolArray:
-        """Where a relative uncertainty is at most the limit."""
-        accepted: BoolArray = uncertainty <= self.limit
-        return accepted
-
 
 class Frame(NamedTuple):
     """Readings of one frame. Arrays are (rows, columns)."""
