@@ -24,6 +24,7 @@ states what a reading says of its own conductance and of its column (:meth:`..re
 :mod:`._law`                  cells by Kirchhoff's laws of columns and rows, in closed form (:mod:`._law_kernels`)
 :mod:`._factors`              everything beyond these laws, as one factor for each cell
 :mod:`._enclosure`            cells beside others whose readings do not determine them
+:mod:`._known_board`          what is known of a board before anything is read
 :mod:`._answers`              bounds on all answers, where readings may have several
 ============================  =====================================================================================
 

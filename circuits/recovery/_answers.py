@@ -19,11 +19,11 @@ from dataclasses import replace
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
-from .._board import Board, broken_off
+from .._board import Board
 from .._parts import LEAST_SHORT_OHM
 from ..readouts import PortLaw
+from ._known_board import KnownBoard
 from ._law_kernels import LEAST, answers
-from ._lines import LineResistance
 
 MOST_WIRE = 2.0
 """resistance of a cell's lines over its own from which on it reads like a short"""
@@ -56,19 +56,16 @@ def several_answers(board: Board) -> bool:
 class Answers:
     """Bounds on all answers of one board."""
 
-    def __init__(self, board: Board, least_ohm: float = 0.0) -> None:
+    def __init__(self, known: KnownBoard, least_ohm: float = 0.0) -> None:
         """For a board with a port law, whose cells have at least so many ohm, shorts apart."""
-        lines = LineResistance(board)
-        to_driver, to_end, column_lead = (
-            np.where(np.isfinite(ohms), ohms, 0.0) for ohms in (lines.to_driver, lines.to_end, board.column_lead)
-        )
+        board, (to_driver, to_end, column_lead) = known.sliced, known.wires
         wire = column_lead + to_end.mean(axis=0)
         law = board.circuit.port_law(replace(board, floating=False), wire)
         assert law is not None
         self._floating = board.floating
         self._law = PortLaw(*(np.array(np.broadcast_to(part, (2, len(wire))), order="C") for part in law))
         self._lead = to_driver.mean(axis=1)
-        self._present = np.ascontiguousarray(~(broken_off(board) | np.isinf(board.series_ohms)))
+        self._present = np.ascontiguousarray(~(known.cut_off | np.isinf(board.series_ohms)))
         self._nowhere = np.zeros(board.shape, dtype=np.bool_)
         self._most = np.full(board.shape, 1.0 / LEAST_SHORT_OHM)
         # If a cell of it stands out, and if none does. Behind a virtual ground, bounds meet in either case.

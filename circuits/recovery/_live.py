@@ -13,6 +13,7 @@ import numpy as np
 
 from ...errors import InputError
 from .._design import Design
+from ._known_board import KnownBoard
 from ._live_fit import FitLive
 from ._live_law import LawLive
 from ._live_reading import LiveRecovery, ValidityRule
@@ -45,6 +46,5 @@ def live_recovery(design: Design, *, accuracy: float | None = None, lowest_ohm: 
     least = 0.0 if lowest_ohm is None else lowest_ohm / _SPARE
     if why := board.circuit.ambiguity(board):
         raise InputError(f"the cells cannot be recovered from readings: {why}")
-    if board.circuit.port_law(board, np.zeros(board.shape[1])) is None:
-        return FitLive(board, rule, least)
-    return LawLive(board, rule, least)
+    kind = FitLive if board.circuit.port_law(board, np.zeros(board.shape[1])) is None else LawLive
+    return kind(KnownBoard(board), rule, least)

@@ -12,7 +12,6 @@ The derivatives are a matrix on small arrays, and on others a diagonal with two 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import product
 from math import hypot, inf, sqrt
 from typing import NamedTuple
@@ -24,12 +23,12 @@ from ...common.arrays import BoolArray, FloatArray
 from ...common.measurement import Measurement
 from ...errors import InputError, SolverError
 from .._adc import adc_error
-from .._board import Board, broken_off, cell_alone
+from .._board import cell_alone
 from .._grid import exact_ports
 from .._parts import LEAST_SHORT_OHM
 from ._answers import several_answers
+from ._known_board import KnownBoard
 from ._law_kernels import ALIKE, BY_NOISE, BY_STEPS, TINY
-from ._lines import LineResistance
 from ._live_reading import (
     DISTURBED,
     HIDDEN,
@@ -42,7 +41,6 @@ from ._live_reading import (
 )
 from ._measured import constants_of
 from ._node_blocks import NodeBlocks
-from ._quick_model import QuickModel, with_resistance
 from ._sheet_model import SheetModel
 from ._usual_fits import (
     FAR,
@@ -195,29 +193,24 @@ class _Corners(NamedTuple):
 class FitLive:
     """Live recovery of boards without a port law, and of single frames that their law leaves open."""
 
-    def __init__(self, board: Board, rule: ValidityRule, least_ohm: float) -> None:
+    def __init__(self, known: KnownBoard, rule: ValidityRule, least_ohm: float) -> None:
         """For a board with a converter, whose cells have at least so many ohm, shorts apart.
 
         Raises:
             InputError: the board is too large.
 
         """
-        self._rule, self._shape, self._turn = rule, board.shape, board.turn
+        board = known.board
+        self._shape, self._turn, self._board = board.shape, board.turn, known.sliced
         self._constants = constants_of(board, rule, alike=ALIKE)
-        whole = replace(board, supply=(-inf, inf), faults=tuple(map(with_resistance, board.faults)))
-        self._board = replace(whole, continuous=False)
         self._half_step = adc_error(board)
         self._std = self._half_step / sqrt(3.0)
-        self._hidden = broken_off(board)
-        self._gone = self._hidden | np.isinf(board.series_ohms)
-        for fault in board.shorts:
-            self._gone[fault.place] |= fault.ohms == 0
+        self._hidden, self._shunt = known.cut_off, known.shunt
+        self._gone = self._hidden | np.isinf(board.series_ohms) | known.shorted
         self._present = ~(self._gone & ~self._hidden).ravel()  # else known to conduct nothing, or as a short does
-        lines = LineResistance(self._board)
-        leads = np.where(np.isfinite(lines.to_ends), lines.to_ends, 0.0)
-        self._leads = leads + np.where(np.isfinite(board.column_lead), board.column_lead, 0.0)
-        self._quick = QuickModel(self._board, lines)
-        self._sheet = SheetModel(whole, self._quick) if board.continuous else None
+        self._leads: FloatArray = sum(known.wires, np.zeros(board.shape))
+        self._quick = known.model
+        self._sheet = SheetModel(known.whole, self._quick) if board.continuous else None
         self._model = self._quick if self._sheet is None else self._sheet
         self._cells = cells = board.shape[0] * board.shape[1]
         nodes = NodeBlocks(self._board, self._quick, self._std) if cells > _SMALL else None
@@ -227,9 +220,6 @@ class FitLive:
                 "the live recovery of boards with bridged lines, or with floating rows and broken lines, is for at "
                 f"most {LARGEST_MATRIX} cells, and the array has {cells}; expected a smaller array, or no such fault"
             )
-        self._shunt = np.zeros(board.shape)
-        for fault in self._board.shorts:
-            self._shunt[fault.place] += 1.0 / fault.ohms
         ideal, most = (
             np.abs(board.circuit.ideal_volts(board, ohms) - board.level)
             for ohms in (self._leads, np.zeros(board.shape))
@@ -245,7 +235,10 @@ class FitLive:
         self._most = np.log(most).ravel()
         self._several = several_answers(board) and not board.circuit.virtual_ground
         of_row = board.shape[1] / least_ohm if least_ohm else inf
-        self._least_ohm, self._lost = least_ohm, float(np.max(lines.to_driver)) * of_row  # share of a drive, at most
+        self._least_ohm, self._lost = (
+            least_ohm,
+            float(np.max(known.lines.to_driver)) * of_row,
+        )  # share of a drive, at most
         self._log: FloatArray | None = None
         self._linear: _Linear | None = None
         self._read: FloatArray = np.ones(cells)

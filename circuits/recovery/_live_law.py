@@ -12,7 +12,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from math import inf
 
 import numpy as np
@@ -22,19 +21,19 @@ from ...common.arrays import FloatArray
 from ...common.measurement import Measurement
 from ...errors import SolverError
 from .._adc import adc_error
-from .._board import Board, broken_off, cell_alone
+from .._board import cell_alone
 from .._exact import read_exactly
 from ._answers import Answers, several_answers
 from ._enclosure import Enclosure
 from ._factors import EVALUATIONS, Factors
+from ._known_board import KnownBoard
 from ._law import Law
 from ._law_frames import IMPOSSIBLE, MEASURED, STALE, LawFrames
 from ._law_kernels import ALIKE, LEAST, OPEN
-from ._lines import LineResistance
 from ._live_fit import MOST_BESIDE, FitLive
 from ._live_reading import DISTURBED, HIDDEN, NO_CURRENT, SATURATED, SIGMAS, Frame, ValidityRule
 from ._measured import constants_of
-from ._quick_model import COMPLETE_SHORT, QuickModel, with_resistance
+from ._quick_model import COMPLETE_SHORT
 
 _SHEET_EVALUATIONS = 1  # of a continuous sheet in a frame, a hundred times as dear as that of a sliced one
 _MOST_HIDDEN = 10.0  # conductance of a cell behind a named break over the median of others, if no range is known
@@ -45,25 +44,16 @@ _OFTEN = 3  # frames with readings that no cells give, after which the design is
 class LawLive:
     """Live recovery of boards whose circuits state a :class:`..readouts.PortLaw`."""
 
-    def __init__(self, board: Board, rule: ValidityRule, least_ohm: float) -> None:
+    def __init__(self, known: KnownBoard, rule: ValidityRule, least_ohm: float) -> None:
         """For a board with a converter, whose cells have at least so many ohm, shorts apart."""
-        whole = replace(board, supply=(-inf, inf), faults=tuple(map(with_resistance, board.faults)))
-        self._board = sliced = replace(whole, continuous=False)
-        self._sheet = whole if board.continuous else None
+        board, (to_driver, to_end, column_lead) = known.board, known.wires
+        self._board, self._sheet = known.sliced, known.whole if board.continuous else None
         self._rule, self._turn, self._shape = rule, board.turn, board.shape
-        lines = LineResistance(sliced)
-        to_driver, to_end, column_lead = (
-            np.where(np.isfinite(ohms), ohms, 0.0) for ohms in (lines.to_driver, lines.to_end, board.column_lead)
-        )
         wire = column_lead + to_end.mean(axis=0)
-        law = board.circuit.port_law(sliced, wire)
+        law = board.circuit.port_law(known.sliced, wire)
         assert law is not None
-        self._hidden = hidden = broken_off(board) | np.isinf(board.series_ohms)
-        self._shorted = np.zeros(board.shape, dtype=np.bool_)
-        self._shunt = np.zeros(board.shape)  # S
-        for fault, present in zip(board.shorts, sliced.shorts, strict=True):
-            self._shorted[fault.place] |= fault.ohms == 0
-            self._shunt[fault.place] += 1.0 / present.ohms
+        self._hidden = hidden = known.cut_off | np.isinf(board.series_ohms)
+        self._shorted, self._shunt = known.shorted, known.shunt
         self._some_hidden = bool(hidden.any() and not hidden.all())
         self._most_hidden = 1.0 / least_ohm if least_ohm else inf  # S
         self._faulty = bool(self._shunt.any() or board.series_ohms.any())
@@ -78,7 +68,7 @@ class LawLive:
         self._tells = held or not lost
         lead = to_driver.mean(axis=1)
         segments = np.where(np.isfinite(board.row_ohms), board.row_ohms, 0.0)
-        shared = np.where(np.isfinite(lines.row), lines.row, 0.0)
+        shared = np.where(np.isfinite(known.lines.row), known.lines.row, 0.0)
         for ohms in (lead, segments, shared):  # a complete short leaves a row no drive
             ohms[self._shorted.any(axis=1)] = 0.0
         shorts = np.where(self._shorted, 1.0 / (to_driver + COMPLETE_SHORT), 0.0)
@@ -91,20 +81,20 @@ class LawLive:
             floating=board.floating,
             virtual_ground=board.circuit.virtual_ground,
         )
-        self._answers = Answers(sliced, least_ohm) if several_answers(board) else None
+        self._answers = Answers(known, least_ohm) if several_answers(board) else None
         self._enclosure = Enclosure(board, self._law, shared, to_driver, to_end)
-        self._model = QuickModel(sliced, lines)
+        self._model = known.model
         exact = board.plain and not (board.floating or self._law.has_leads or board.column_ohms.any())
         self._fit = None
         small = board.shape[0] * board.shape[1] <= MOST_BESIDE
         mixes = (board.circuit.mixes_cells and self._answers is None) or not self._tells
         if board.bridges or (mixes and small):
-            self._fit = FitLive(board, rule, least_ohm)
+            self._fit = FitLive(known, rule, least_ohm)
         no_reading = np.zeros(board.shape, dtype=np.int8)
         no_reading[self._shorted.any(axis=1, keepdims=True) | self._shorted.any(axis=0)] = DISTURBED
         no_reading[hidden | self._shorted] = HIDDEN
         self._no_reading, self._present = no_reading, ~(hidden | self._shorted)
-        self._frames = self._kernel(board, exact, beside_end, no_reading, (to_driver, to_end, column_lead))
+        self._frames = self._kernel(known, exact, beside_end, no_reading)
         evaluations = _SHEET_EVALUATIONS if board.continuous else EVALUATIONS
         self._factors = None if exact else Factors(self._frames.kept, self._law, self._law_of_model, evaluations)
         self.usual: Callable[[Frame], Measurement | None] | None = None
@@ -113,15 +103,10 @@ class LawLive:
         self._impossible = 0
 
     def _kernel(
-        self,
-        board: Board,
-        exact: bool,
-        beside_end: FloatArray,
-        no_reading: NDArray[np.int8],
-        wires: tuple[FloatArray, FloatArray, FloatArray],
+        self, known: KnownBoard, exact: bool, beside_end: FloatArray, no_reading: NDArray[np.int8]
     ) -> LawFrames:
-        """What measures the frames, whose wires lead to drivers, to the last crosspoints and on to the ends."""
-        law, (to_driver, to_end, column_lead) = self._law, wires
+        """What measures the frames."""
+        board, law, (to_driver, to_end, column_lead) = known.board, self._law, known.wires
         assert board.adc is not None
         random = (0.5 + abs(board.adc.inl_steps)) * board.adc.step
         constants = constants_of(

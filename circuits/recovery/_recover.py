@@ -48,6 +48,7 @@ from ._envelope import MARGIN, Envelope
 from ._frame_model import Model
 from ._independent_columns import Columns, columns_are_independent
 from ._inversion import Found, Inverter
+from ._known_board import KnownBoard
 from ._recovered import Recovery, Status
 from ._unknown import Unknown
 
@@ -127,7 +128,7 @@ class Recoverer:
         # A follower leaves other answers only beside shorts; of columns in groups no bounds are known.
         several = several_answers(board) and board.shared_by >= board.shape[1]
         several = several and not (board.circuit.drives_idle_lines or board.floating)
-        self._answers = Answers(board, least_ohm) if several else None
+        self._answers = Answers(KnownBoard(board), least_ohm) if several else None
         self._inverter = Inverter(self._model, self._unread, accuracy)
         self._envelope = Envelope(self._model, self._unread, accuracy, self._most)
 
