@@ -14,11 +14,12 @@ held load fades.
 
 from __future__ import annotations
 
-import copy
 import math
 import threading
+from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
+from weakref import ref
 
 import numpy as np
 
@@ -31,6 +32,8 @@ from ._touch import Patch, Progress, Skin, Touched, Track, Untouched
 
 DRIFT_PER_S = 0.003
 """relative change of a rest resistance per second: warming up takes minutes. A finger presses much faster"""
+MOST_DEAD = 256
+"""frames without contacts that nobody holds any more, until they are forgotten"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,15 +123,6 @@ class ContactTracker:
         self._unread = np.empty((rows, columns), dtype=np.bool_)
         self._frame = self._pressure.ravel(), self._std.ravel(), self._unread.ravel()
 
-    def again(self) -> ContactTracker:
-        """A tracker that goes on from the present frame on its own."""
-        other = copy.copy(self)
-        for name, value in vars(self).items():
-            if isinstance(value, np.ndarray):
-                setattr(other, name, value.copy())
-        other._frame = other._pressure.ravel(), other._std.ravel(), other._unread.ravel()
-        return other
-
     def update(
         self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray, unread: BoolArray | None = None
     ) -> tuple[Contact, ...]:
@@ -187,12 +181,10 @@ class ContactTracker:
         return tuple(sorted(contacts, key=lambda contact: -contact.force_n))
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(slots=True, eq=False, weakref_slot=True)
 class PressureView:
     """Input of the tracker for one frame, and its answer."""
 
-    number: int
-    """of the frame"""
     time_s: float
     pressure_kpa: FloatArray
     std_kpa: FloatArray
@@ -207,36 +199,44 @@ class PressureView:
 class ContactsOfFrames:
     """Contacts on demand: nothing is computed before the first request.
 
-    Ids and hysteresis depend on earlier frames. From the first request on, every frame is therefore processed.
+    Ids and hysteresis depend on earlier frames. On the first request all frames that anybody still holds are therefore
+    taken in their order, and every later one when it comes.
     """
 
     def __init__(self, tracker: ContactTracker) -> None:
         self._tracker = tracker
         self._lock = threading.Lock()
         self._asked = False
-        self._newest = 0
+        self._waiting: deque[ref[PressureView]] = deque()
+        """frames that were not taken yet, in their order, as long as anybody holds them"""
+        self._most_waiting = MOST_DEAD
 
     def of(self, view: PressureView) -> tuple[Contact, ...]:
-        """The contacts of one frame."""
+        """The contacts of a frame that has passed by."""
         with self._lock:
             self._asked = True
+            self._take_waiting()
             if view.contacts is None:
-                view.contacts = self._tracker.contacts(self._found_in(view))
+                assert view.found is not None
+                view.contacts = self._tracker.contacts(view.found)
             return view.contacts
 
     def pass_by(self, view: PressureView) -> None:
-        """Process a new frame, if contacts were ever asked for."""
+        """Take a new frame, or keep it until contacts are asked for."""
+        self._waiting.append(ref(view))
         if self._asked:
             with self._lock:
-                self._found_in(view)
+                self._take_waiting()
+        elif len(self._waiting) > self._most_waiting:
+            with self._lock:
+                self._forget_dead()
 
-    def _found_in(self, view: PressureView) -> Found:
-        if view.found is not None:
-            return view.found
-        # A frame from before the first request gets its ids from the present contacts, which do not change.
-        is_next = view.number > self._newest
-        tracker = self._tracker if is_next else self._tracker.again()
-        if is_next:
-            self._newest = view.number
-        view.found = tracker.take(view.time_s, view.pressure_kpa, view.std_kpa, view.unread)
-        return view.found
+    def _take_waiting(self) -> None:
+        while self._waiting:
+            view = self._waiting.popleft()()
+            if view is not None:
+                view.found = self._tracker.take(view.time_s, view.pressure_kpa, view.std_kpa, view.unread)
+
+    def _forget_dead(self) -> None:
+        self._waiting = deque(each for each in self._waiting if each() is not None)
+        self._most_waiting = 2 * len(self._waiting) + MOST_DEAD

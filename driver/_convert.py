@@ -223,7 +223,7 @@ class Converter:
                 for array in (valid, reason):
                     array.setflags(write=False)
             self._counters.reasons = reason
-            view = PressureView(frame.index, frame.time_s, pressure, std, unread)
+            view = PressureView(frame.time_s, pressure, std, unread)
             self.contacts.pass_by(view)
             found.append(Converted(valid, reason, resistance, pressure, std, view, rest_counts, self.starts))
         read.clear()

@@ -82,7 +82,6 @@ class Joiner:
         self._contacts = ContactsOfFrames(ContactTracker(self.geometry, *touch))
         self._last: list[Frame | None] = [None] * len(boards)
         self._fresh = [False] * len(boards)
-        self._number = 0
 
     def add(self, board: int, frame: Frame) -> list[Frame]:
         """The joined frames, none or more, that follow from a frame of a board."""
@@ -106,7 +105,6 @@ class Joiner:
     def _join(self) -> Frame:
         parts, fresh = list(self._last), list(self._fresh)
         self._fresh = [False] * len(parts)
-        self._number += 1
         new = [part for part, is_new in zip(parts, fresh, strict=True) if is_new and part is not None]
         newest = max(new, key=lambda frame: frame.monotonic_time)
         reason = self._cells(parts, lambda frame: frame.reason, _MISSING, _NO_CELL).astype(np.int8)
@@ -122,7 +120,7 @@ class Joiner:
         std = self._cells(parts, lambda frame: frame.pressure_std)
         valid = reason == 0
         unread = old | ~(valid | (reason == _NOISY))
-        view = PressureView(self._number, newest.monotonic_time, pressure, std, unread)
+        view = PressureView(newest.monotonic_time, pressure, std, unread)
         self._contacts.pass_by(view)
         resistance = np.where(valid, self._cells(parts, lambda frame: frame.resistance), np.nan)
         arrays = {

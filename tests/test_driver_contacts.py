@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from ohmskin.common.arrays import FloatArray
 from ohmskin.common.geometry import Geometry
 from ohmskin.driver import MESSAGE_SCHEMAS, Contact, ContactTracker, messages_of
+from ohmskin.driver._contacts import MOST_DEAD, ContactsOfFrames, PressureView
 from ohmskin.emulator import Board
 from ohmskin.errors import InputError
 
@@ -392,6 +393,31 @@ def test_contacts_of_a_skin_are_where_it_is_pressed() -> None:
     assert (second.x_mm, second.y_mm) == pytest.approx((60.0, 65.0), abs=1.0)
     # The force under a bell is 2 pi sigma^2 times its peak; its skirt lies below the threshold.
     assert first.force_n == pytest.approx(2 * np.pi * 0.008**2 * 12e3, rel=0.1)
+
+
+@pytest.mark.parametrize("asked_first", [0, 60, -1])
+def test_contacts_are_the_same_in_whatever_order_frames_are_asked(asked_first: int) -> None:
+    with lossless(Wire(big_scene())) as skin:
+        each_at_once = [frame.contacts for frame in islice(skin, 120)]
+    with lossless(Wire(big_scene())) as skin:
+        frames = list(islice(skin, 60))
+        if asked_first >= 0:
+            frames[asked_first % 60].contacts  # noqa: B018  the request is what counts
+        frames += islice(skin, 60)
+        frames[asked_first].contacts  # noqa: B018
+        assert [frame.contacts for frame in reversed(frames)] == each_at_once[::-1]
+
+
+def test_frames_without_contacts_that_nobody_holds_are_forgotten() -> None:
+    contacts, none = ContactsOfFrames(ContactTracker(Geometry.rectangle((1, 1), 0.01), FULL_KPA)), np.zeros((1, 1))
+    held = []
+    for number in range(20 * MOST_DEAD):
+        view = PressureView(0.01 * number, none, none, none > 0)
+        contacts.pass_by(view)
+        if number % MOST_DEAD == 0:
+            held.append(view)
+    assert len(contacts._waiting) <= 2 * (len(held) + MOST_DEAD)
+    assert all(contacts.of(view) == () for view in held)
 
 
 def test_cells_that_are_not_square_have_two_pitches() -> None:

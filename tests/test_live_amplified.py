@@ -37,6 +37,22 @@ def test_rows_that_shorts_join_are_not_told_apart() -> None:
     assert not reading.valid[:, 1].any()
 
 
+@pytest.mark.parametrize("lead", [0.5, 8.0, 25.0])
+@pytest.mark.parametrize("segment", [0.0, 0.5])
+def test_a_hard_press_costs_its_own_rows_and_columns(lead: float, segment: float) -> None:
+    """Saturated cells may be shorts that tie their rows together; what a row feeds to others stays bounded."""
+    design = board(8, 7, lead, segment=segment, reference_resistance=4700.0, supply=[-0.2, 3.6], open_loop_gain=3e3)
+    rest = np.full((8, 7), 9e3) * np.exp(np.random.default_rng(1).uniform(-0.1, 0.1, (8, 7)))
+    pressed, beside = rest.copy(), np.zeros((8, 7), dtype=bool)
+    pressed[3:5, 2:4], beside[3:5], beside[:, 2:4] = 900.0, True, True
+    read = CountReader(design)
+    for cells in [rest] * 3 + [pressed] * 3:
+        reading = read(adc_codes(design, scan(design, cells).volts))
+    assert reading.valid[~beside].all()
+    off = np.abs(reading.resistance / pressed - 1.0)[reading.valid]
+    assert (off <= reading.uncertainty[reading.valid]).all()
+
+
 @pytest.mark.parametrize("segment", [0.0, 0.5])
 @pytest.mark.parametrize("noise_steps", [0.0, 1.0])
 def test_cells_like_their_leads_are_read_in_every_frame(segment: float, noise_steps: float) -> None:

@@ -77,6 +77,21 @@ def lost_along(shared: Blocks, conductance: Rows, i: int, j: int) -> float:
 
 
 @loop
+def left_along(shared: Blocks, more: Rows, i: int, j: int) -> float:
+    """Least share of a row's drive that cells leave at (i, j) which, each alone, draw so many S of the drive more.
+
+    Together they draw less. A load of conductance g at k divides what is left at j by at most 1 + R_jk g, where R_jk is
+    their wire in common.
+    """
+    left = 1.0
+    for k in range(more.shape[1]):
+        alone = 1.0 - shared[i, k, k] * more[i, k]
+        if shared[i, j, k] != 0.0 and more[i, k] > 0.0:
+            left = left / (1.0 + shared[i, j, k] * more[i, k] / alone) if alone > 0.0 else 0.0
+    return left
+
+
+@loop
 def usual_conductance(by_law: Rows, estimate: Rows, above: Rows, under_range: FlagRows, i: int, j: int) -> float:
     """S that cell (i, j) conducts, or conducts at most."""
     usual: float = above[i, j] if under_range[i, j] else max(min(by_law[i, j], _CORRECTED * estimate[i, j]), 0.0)
@@ -239,7 +254,10 @@ def enclose(
         for j in range(columns):
             row[i, j] = min(max(1.0 - lost_along(shared, ordinary, i, j), _LEAST_LEFT), 1.0)
             slack = of_cells[TO_DRIVER, i, j] * of_sums[i] if row_open[i] > OPEN_ROW else 0.0
-            lowest = row[i, j] - lost_along(shared, more, i, j) - slack
+            lowest = row[i, j] - lost_along(shared, more, i, j)
+            if board.holds > 0.0:
+                lowest = max(lowest, row[i, j] * left_along(shared, more, i, j))
+            lowest -= slack
             high[i, j] = min(row[i, j] + lost_along(shared, less, i, j) + slack, 1.0)
             if board.divides > 0.0:  # a row stands above all columns that it feeds
                 lowest = max(lowest, min(highest, row[i, j]))
