@@ -235,10 +235,8 @@ class FitLive:
         self._most = np.log(most).ravel()
         self._several = several_answers(board) and not board.circuit.virtual_ground
         of_row = board.shape[1] / least_ohm if least_ohm else inf
-        self._least_ohm, self._lost = (
-            least_ohm,
-            float(np.max(known.lines.to_driver)) * of_row,
-        )  # share of a drive, at most
+        self._least_ohm = least_ohm
+        self._lost = float(np.max(known.lines.to_driver)) * of_row  # share of a drive, at most
         self._log: FloatArray | None = None
         self._linear: _Linear | None = None
         self._read: FloatArray = np.ones(cells)
