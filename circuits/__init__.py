@@ -22,8 +22,8 @@ from .ends import ColumnEnd, Event, Reference, RowEnd, Scan
 from .readouts import CIRCUITS as _CIRCUITS
 from .recovery import (
     Conditioning,
-    Frame,
     LiveRecovery,
+    Readings,
     Reason,
     Recoverer,
     Recovery,
@@ -68,12 +68,12 @@ __all__ = [
     "Event",
     "EventScan",
     "Fault",
-    "Frame",
     "LiveRecovery",
     "Noise",
     "OperatingPoint",
     "Operation",
     "PopulationReading",
+    "Readings",
     "Readout",
     "Reason",
     "Recoverer",

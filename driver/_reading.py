@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..circuits import Design, Frame, Reason, adc_error, live_recovery, noise, volts_of_codes
+from ..circuits import Design, Readings, Reason, adc_error, live_recovery, noise, volts_of_codes
 from ..common.arrays import BoolArray, FloatArray
 from ..common.compiled import Rows, loop
 from ..common.measurement import Measurement
@@ -164,12 +164,12 @@ class CountReader:
         self, counts: NDArray[np.integer], noise: float, limited: BoolArray | None, under_range: BoolArray | None
     ) -> Measurement:
         """The conductances of a frame, by the short way if it serves."""
-        frame = Frame(self._buffer, noise, *self._noise_of_each, limited, under_range)
+        frame = Readings(self._buffer, noise, *self._noise_of_each, limited, under_range)
         usual = self._recover.usual if self._noise.frames > 1 else None
         found = None if usual is None else usual(frame)
         return self._recovered(counts, frame) if found is None else found
 
-    def _recovered(self, counts: NDArray[np.integer], frame: Frame) -> Measurement:
+    def _recovered(self, counts: NDArray[np.integer], frame: Readings) -> Measurement:
         """The conductances of any frame, by the whole circuit.
 
         The last result holds while the same counts come, until the noise is another.

@@ -17,7 +17,7 @@ from needs import need
 from ohmskin.circuits import (
     Boards,
     Design,
-    Frame,
+    Readings,
     Reason,
     adc_codes,
     ideal_volts,
@@ -221,7 +221,7 @@ def test_the_cells_are_recovered_or_the_reason_is_given(kind: str) -> None:
     np.testing.assert_allclose(recover(design, volts).resistance, CELLS, rtol=1e-8)
     live = live_recovery(digitised)
     for _ in range(3):
-        reading = live(Frame.of(volts_of_codes(digitised, adc_codes(digitised, volts))))
+        reading = live(Readings.of(volts_of_codes(digitised, adc_codes(digitised, volts))))
     right = np.abs(reading.conductance * CELLS - 1)
     if kind in SEVERAL_ANSWERS:
         assert not (right > 1e-3).any()

@@ -12,7 +12,7 @@ from parts_at_random import real_design
 from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import (
     Design,
-    Frame,
+    Readings,
     Settling,
     Status,
     adc_codes,
@@ -146,7 +146,7 @@ def test_cells_are_recovered_from_one_frame_and_from_a_stream(circuit: str, colu
     np.testing.assert_allclose(found.resistance[one], cells[one], rtol=1e-8)
     live, read = live_recovery(design), volts_of_codes(design, adc_codes(design, volts))
     for _ in range(4):
-        found = live(Frame.of(read))
+        found = live(Readings.of(read))
     if (circuit, columns) != ("voltage-divider", "ground"):  # there, other cells may give the same readings
         assert found.valid.all()
     assert (np.abs(found.resistance / cells - 1) <= found.uncertainty)[found.valid].all()

@@ -36,14 +36,14 @@ part in every reading: :mod:`._live_fit`, with :mod:`._usual_fits` for most fram
 
 from ._conditioning import Conditioning, conditioning
 from ._live import live_recovery
-from ._live_reading import Frame, LiveRecovery, Reason, ValidityRule
+from ._live_reading import LiveRecovery, Readings, Reason, ValidityRule
 from ._recover import Recoverer, recover
 from ._recovered import Recovery, Status
 
 __all__ = [
     "Conditioning",
-    "Frame",
     "LiveRecovery",
+    "Readings",
     "Reason",
     "Recoverer",
     "Recovery",

@@ -32,7 +32,7 @@ from ._law_kernels import (
     relative_to,
     rows_of,
 )
-from ._live_reading import DISTURBED, NO_CURRENT, SATURATED, SIGMAS, UNCERTAIN, UNSETTLED, Frame
+from ._live_reading import DISTURBED, NO_CURRENT, SATURATED, SIGMAS, UNCERTAIN, UNSETTLED, Readings
 from ._measured import Constants, state_one
 
 BEYOND = 3.0
@@ -400,7 +400,7 @@ class LawFrames:
         self._work_beside = np.empty((3, columns)), *work_for(rows, columns)
 
     def __call__(
-        self, frame: Frame, *, known: bool, whole: bool = False, renewed: bool = False, settled: bool = True
+        self, frame: Readings, *, known: bool, whole: bool = False, renewed: bool = False, settled: bool = True
     ) -> tuple[Measurement, int, bool]:
         """Measure a frame in line coordinates: :data:`MEASURED` or why not, and whether cells may be of unknown size.
 

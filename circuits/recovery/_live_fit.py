@@ -36,7 +36,7 @@ from ._live_reading import (
     SATURATED,
     SIGMAS,
     UNSETTLED,
-    Frame,
+    Readings,
     ValidityRule,
 )
 from ._measured import constants_of
@@ -245,18 +245,18 @@ class FitLive:
         self._corners: _Corners | None = None
         self._damping, self._astray, self._in_vain, self._begun = 0.0, False, 0, False
         self._still = False
-        self.usual: Callable[[Frame], Measurement | None] | None = None
+        self.usual: Callable[[Readings], Measurement | None] | None = None
         self._calm = 0
         usual = cells <= MOST_BESIDE and self._sheet is None and not self._several
         if usual and UsualFits.serves(board):
             self.usual = UsualFits(board, self, self._constants, self._std)
 
-    def __call__(self, frame: Frame) -> Measurement:
+    def __call__(self, frame: Readings) -> Measurement:
         """As :class:`.LiveRecovery`."""
         return self.read(frame.in_lines(self._turn))
 
     @np.errstate(divide="ignore", invalid="ignore", over="ignore")
-    def read(self, frame: Frame, start: FloatArray | None = None) -> Measurement:
+    def read(self, frame: Readings, start: FloatArray | None = None) -> Measurement:
         """The same in line coordinates, beginning at conductances ``start`` (N, M) in S if they fit better.
 
         A reading that says no more than a bound does not count. A reading at a limit that no cell can pass, as a
@@ -294,7 +294,7 @@ class FitLive:
         log, std, left, misfit = found
         return self._reading(frame, log, std, misfit, self._spread(log, unread) + np.abs(left), unread)
 
-    def unread(self, frame: Frame) -> BoolArray:
+    def unread(self, frame: Readings) -> BoolArray:
         """As :class:`._usual_fits.Fit`."""
         signal, error = np.abs(frame.volts - self._board.level), self._half_step + SIGMAS * frame.noise
         unread: BoolArray = np.zeros(self._shape, dtype=np.bool_)
@@ -750,7 +750,7 @@ class FitLive:
 
     def _reading(
         self,
-        frame: Frame,
+        frame: Readings,
         log: FloatArray,
         std: FloatArray,
         misfit: float,
@@ -777,7 +777,7 @@ class FitLive:
         )
         return measured
 
-    def _nothing(self, frame: Frame, why: int, limited: BoolArray) -> Measurement:
+    def _nothing(self, frame: Readings, why: int, limited: BoolArray) -> Measurement:
         """A frame that determines no cell; ``limited`` (N, M): readings at a limit."""
         reason: NDArray[np.int8] = np.full(self._shape, why, dtype=np.int8)
         reason[limited] = SATURATED

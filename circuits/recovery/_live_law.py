@@ -31,7 +31,7 @@ from ._law import Law
 from ._law_frames import IMPOSSIBLE, MEASURED, STALE, LawFrames
 from ._law_kernels import ALIKE, LEAST, OPEN
 from ._live_fit import MOST_BESIDE, FitLive
-from ._live_reading import DISTURBED, HIDDEN, NO_CURRENT, SATURATED, SIGMAS, Frame, ValidityRule
+from ._live_reading import DISTURBED, HIDDEN, NO_CURRENT, SATURATED, SIGMAS, Readings, ValidityRule
 from ._measured import constants_of
 from ._quick_model import COMPLETE_SHORT
 
@@ -97,7 +97,7 @@ class LawLive:
         self._frames = self._kernel(known, exact, beside_end, no_reading)
         evaluations = _SHEET_EVALUATIONS if board.continuous else EVALUATIONS
         self._factors = None if exact else Factors(self._frames.kept, self._law, self._law_of_model, evaluations)
-        self.usual: Callable[[Frame], Measurement | None] | None = None
+        self.usual: Callable[[Readings], Measurement | None] | None = None
         if self._tells and self._answers is None and not board.bridges:
             self.usual = self._measure
         self._impossible = 0
@@ -137,14 +137,14 @@ class LawLive:
             series=board.series_ohms,
         )
 
-    def _measure(self, frame: Frame) -> Measurement | None:
+    def _measure(self, frame: Readings) -> Measurement | None:
         """The measurement of a frame for which the factors hold; else None."""
         if self._factors is not None and not self._factors.hold:
             return None
         measured, came, _ = self._frames(self._in_lines(frame), known=True)
         return measured if came == MEASURED else None
 
-    def _in_lines(self, frame: Frame) -> Frame:
+    def _in_lines(self, frame: Readings) -> Readings:
         """The frame in line coordinates; readings at a limit of complete shorts say nothing."""
         if not self._board.turned and frame.limited is None and frame.under_range is None:
             return frame
@@ -157,7 +157,7 @@ class LawLive:
         return frame
 
     @np.errstate(all="ignore")
-    def __call__(self, frame: Frame) -> Measurement:
+    def __call__(self, frame: Readings) -> Measurement:
         """As :class:`.LiveRecovery`."""
         frame, fit, factors = self._in_lines(frame), self._fit, self._factors
         bridged = bool(self._board.bridges)  # no law of single lines holds
@@ -199,7 +199,7 @@ class LawLive:
         self._frames.found[...], self._frames.left[...] = cells, left if settled else 0.0
         return self._frames(frame, known=factors.known, whole=True, renewed=True, settled=settled)[0]
 
-    def _unheld(self, frame: Frame) -> bool:
+    def _unheld(self, frame: Readings) -> bool:
         """Whether an output of the frame may stand at a limit, so that it does not hold its column."""
         nowhere = np.zeros(0, dtype=np.bool_)
         return self._enclosure.unheld(
@@ -235,7 +235,7 @@ class LawLive:
         volts = self._model(cells) if self._sheet is None else read_exactly(self._sheet, cells)[0].volts
         return self._law(volts)
 
-    def _nothing(self, frame: Frame) -> Measurement:
+    def _nothing(self, frame: Readings) -> Measurement:
         """A frame that determines no cell."""
         reason = np.where(self._no_reading == HIDDEN, HIDDEN, DISTURBED)
         for cells, why in (frame.limited, SATURATED), (frame.under_range, NO_CURRENT):

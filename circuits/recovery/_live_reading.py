@@ -85,8 +85,8 @@ class ValidityRule:
         return cls() if accuracy is None else cls(accuracy, averages=False)
 
 
-class Frame(NamedTuple):
-    """Readings of one frame. Arrays are (rows, columns)."""
+class Readings(NamedTuple):
+    """Those of one frame. Arrays are (rows, columns)."""
 
     volts: FloatArray
     """V, the middle of each code; contiguous"""
@@ -104,7 +104,7 @@ class Frame(NamedTuple):
 
     @classmethod
     def of(cls, volts: FloatArray, noise: float = 0.0, **at_limit: BoolArray | None) -> Self:
-        """Readings that all have the same noise."""
+        """A frame whose readings all have the same noise."""
         return cls(np.array(volts, dtype=np.float64, order="C"), noise, noise, np.full(volts.shape, noise), **at_limit)
 
     def in_lines(self, turn: Callable[[NDArray[Any]], NDArray[Any]]) -> Self:
@@ -119,12 +119,12 @@ class Frame(NamedTuple):
 class LiveRecovery(Protocol):
     """Live recovery of one board, called with one frame after the other."""
 
-    usual: Callable[[Frame], Measurement | None] | None
+    usual: Callable[[Readings], Measurement | None] | None
     """measures most frames at a fraction of the cost, and gives None for those that are to be recovered; None: no frame
     of this board can be measured so
     """
 
-    def __call__(self, frame: Frame) -> Measurement:
+    def __call__(self, frame: Readings) -> Measurement:
         """Recover the cells from one frame of readings.
 
         Raises:

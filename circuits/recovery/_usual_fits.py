@@ -24,7 +24,7 @@ from ...common.noise import constant_part
 from .._board import Board
 from ..readouts import columns_impedance
 from ._law_kernels import BY_NOISE, BY_STEPS, LARGEST
-from ._live_reading import DISTURBED, HIDDEN, NO_CURRENT, SATURATED, SIGMAS, UNCERTAIN, Frame
+from ._live_reading import DISTURBED, HIDDEN, NO_CURRENT, SATURATED, SIGMAS, UNCERTAIN, Readings
 from ._measured import Constants, state_one
 
 FAR = 0.5
@@ -362,7 +362,7 @@ class Fit(Protocol):
         """
         ...
 
-    def unread(self, frame: Frame) -> BoolArray:
+    def unread(self, frame: Readings) -> BoolArray:
         """Cells (N, M) of a frame in line coordinates whose readings state bounds only."""
         ...
 
@@ -437,7 +437,7 @@ class UsualFits:
             raise np.linalg.LinAlgError("parts of the grid have no connection")
         return volts
 
-    def __call__(self, frame: Frame) -> Measurement | None:
+    def __call__(self, frame: Readings) -> Measurement | None:
         """As :attr:`.LiveRecovery.usual`."""
         kept = None if is_aside() else self._fit.kept(frame.noise)  # arrays are quicker than a kernel in plain Python
         if kept is None:
