@@ -1,4 +1,4 @@
-"""Small recordings that ask for much: files that a stranger could send."""
+"""Small recordings that ask for much: files of an untrusted sender."""
 
 from __future__ import annotations
 

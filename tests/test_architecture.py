@@ -123,7 +123,7 @@ def test_only_one_module_imports_pyspice() -> None:
 
 
 READS_ARRAYS = {"zipfile": "common/archives.py", "pickle": "verification/_own_code.py", "marshal": "", "shelve": ""}
-"""Modules that read what may be a stranger's, and who may use them. The pickle is one of this process for its child."""
+"""Modules that read untrusted input, and who may use them. The pickle is one of this process for its child."""
 OPENS_FILES = ("load", "loadtxt", "genfromtxt", "fromfile", "DataSource")
 """functions of NumPy"""
 

@@ -239,15 +239,15 @@ def test_a_missing_or_impossible_number_costs_its_cell_or_the_frame(missing: str
 
 @pytest.mark.parametrize("end", ["", "flag", "Frame"])
 def test_a_line_for_each_row_until_an_end_line(end: str) -> None:
-    told = {"": b"\r\n", "flag": b"flag\r\n", "Frame": b"Frame 17 ---\r\n"}[end]
-    rows = [b"1 2 3\r\n", b"4 5 6\r\n", told, b"7 8 9\r\n", b"10 11 12\r\n", told]
+    end_line = {"": b"\r\n", "flag": b"flag\r\n", "Frame": b"Frame 17 ---\r\n"}[end]
+    rows = [b"1 2 3\r\n", b"4 5 6\r\n", end_line, b"7 8 9\r\n", b"10 11 12\r\n", end_line]
     family = text("row-per-line", end=end)
-    assert frames(heard(family, told, *rows)) == [A, B]
+    assert frames(heard(family, end_line, *rows)) == [A, B]
     assert frames(heard(family, *rows)) == [B]  # the beginning of the first frame may be missing
-    assert frames(heard(family, told, rows[0], *rows[2:])) == [B]  # a lost row
-    assert frames(heard(family, told, *rows[:2], *rows[3:], *rows)) == [A, B]  # a lost end line costs both frames
-    assert frames(heard(family, told, rows[0], b"wifi 5\n", *rows[1:])) == [B]
-    assert frames(heard(family, told, *rows[:3], b"wifi: x\n", *rows[3:])) == [A, B]
+    assert frames(heard(family, end_line, rows[0], *rows[2:])) == [B]  # a lost row
+    assert frames(heard(family, end_line, *rows[:2], *rows[3:], *rows)) == [A, B]  # a lost end line costs both frames
+    assert frames(heard(family, end_line, rows[0], b"wifi 5\n", *rows[1:])) == [B]
+    assert frames(heard(family, end_line, *rows[:3], b"wifi: x\n", *rows[3:])) == [A, B]
 
 
 def test_a_line_for_each_cell_and_numbers_with_names() -> None:

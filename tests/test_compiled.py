@@ -110,7 +110,7 @@ def test_machine_code_rounds_as_array_operations_do(a: list[float], b: list[floa
     np.testing.assert_array_equal(large, expected > ENOUGH)
 
 
-def test_a_kernel_changes_the_records_it_is_told_of() -> None:
+def test_a_kernel_changes_the_records_it_is_given() -> None:
     """Also as plain Python; and the fields are columns of one array."""
     points, by = compiled.zeros(Point, 4), record(Point, x=2.0, y=3.0, series=np.zeros(3))
     move_each(points, np.array([1, 3]), by)
@@ -192,12 +192,12 @@ def test_the_name_on_disk_changes_with_the_numbers_and_helpers_that_are_compiled
     assert after[1] != before[1]
 
 
-def _run(program: str, *, told: int = 0, **variables: str) -> str:
+def _run(program: str, *, notices: int = 0, **variables: str) -> str:
     """What a new interpreter prints that treats warnings as errors.
 
     Args:
         program: of Python, indented.
-        told: lines that it writes to standard error, all of them of a wait for the compiler.
+        notices: lines that it writes to standard error, all of them of a wait for the compiler.
         variables: of the environment.
 
     """
@@ -213,7 +213,7 @@ def _run(program: str, *, told: int = 0, **variables: str) -> str:
     assert done.returncode == 0, done.stderr
     lines = done.stderr.splitlines()
     assert all(line.startswith("ohmskin compiles") for line in lines), done.stderr
-    assert len(lines) == told
+    assert len(lines) == notices
     return done.stdout
 
 
@@ -242,21 +242,23 @@ def some_loops(tmp_path: Path) -> Path:
     return folder
 
 
-def _used(folder: Path, *, told: int, **variables: str) -> str:
-    return _run(f"import sys; sys.path.insert(0, {str(folder)!r})\n" + textwrap.dedent(USE), told=told, **variables)
+def _used(folder: Path, *, notices: int, **variables: str) -> str:
+    return _run(
+        f"import sys; sys.path.insert(0, {str(folder)!r})\n" + textwrap.dedent(USE), notices=notices, **variables
+    )
 
 
 @pytest.mark.slow
 def test_machine_code_is_kept_for_the_next_process_and_renewed_when_damaged(some_loops: Path) -> None:
-    assert _used(some_loops, told=1) == "8.0 False None\n"
+    assert _used(some_loops, notices=1) == "8.0 False None\n"
     kept = list((some_loops / "__pycache__").glob("*.nb?"))
     assert len(kept) == 2, "an index and the code"
     times = [file.stat().st_mtime_ns for file in kept]
-    assert _used(some_loops, told=0) == "8.0 False None\n"
+    assert _used(some_loops, notices=0) == "8.0 False None\n"
     assert [file.stat().st_mtime_ns for file in kept] == times, "taken from disk"
     for file in kept:
         file.write_bytes(b"damaged")
-    assert _used(some_loops, told=1) == "8.0 False None\n"
+    assert _used(some_loops, notices=1) == "8.0 False None\n"
 
 
 LOADING = """
@@ -277,7 +279,7 @@ COMMAND = """
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("log", "told"),
+    ("log", "notices"),
     [
         pytest.param("", 1, id="a program that sets up no log"),
         pytest.param("logging.basicConfig(format='%(message)s')", 1, id="a program that shows its log"),
@@ -286,12 +288,12 @@ COMMAND = """
         pytest.param(COMMAND.format(watched=False), 0, id="a command that nobody watches"),
     ],
 )
-def test_a_wait_for_the_compiler_is_told_once(some_loops: Path, log: str, told: int) -> None:
+def test_a_wait_for_the_compiler_is_announced_once(some_loops: Path, log: str, notices: int) -> None:
     text = (some_loops / "some_loops.py").read_text()
     (some_loops / "some_loops.py").write_text(text + "@loop\ndef tripled(x: float) -> float:\n    return 3.0 * x\n")
     log = textwrap.indent(textwrap.dedent(log), "    ").strip()
     program = LOADING.format(folder=str(some_loops), log=log)
-    assert _run(program, told=told) == "True\n"
+    assert _run(program, notices=notices) == "True\n"
 
 
 def test_a_wait_is_announced_with_its_length_and_whether_it_comes_again(
@@ -309,13 +311,13 @@ def test_nothing_is_kept_where_no_folder_can_be_written_to(some_loops: Path) -> 
     (some_loops / "__pycache__").write_text("no folder")
     nowhere = str(some_loops / "some_loops.py")
     elsewhere = {"HOME": nowhere, "XDG_CACHE_HOME": nowhere, "PYTHONDONTWRITEBYTECODE": "1"}
-    assert _used(some_loops, told=1, **elsewhere) == "8.0 False None\n"
-    assert _used(some_loops, told=1, **elsewhere) == "8.0 False None\n"
+    assert _used(some_loops, notices=1, **elsewhere) == "8.0 False None\n"
+    assert _used(some_loops, notices=1, **elsewhere) == "8.0 False None\n"
 
 
 def test_where_numba_is_told_to_compile_nothing_kernels_run_as_plain_python(some_loops: Path) -> None:
     off = "switched off by NUMBA_DISABLE_JIT"
-    assert _used(some_loops, told=0, NUMBA_DISABLE_JIT="1") == f"8.0 True {off}\n"
+    assert _used(some_loops, notices=0, NUMBA_DISABLE_JIT="1") == f"8.0 True {off}\n"
 
 
 def test_no_machine_code_of_the_working_folder_is_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -349,8 +351,8 @@ def test_another_process_compiles_while_kernels_run_as_plain_python(some_loops: 
         text + "@loop\ndef twice_doubled(x: float) -> float:\n    return doubled(doubled(x))\n"
     )
     program = ASIDE.format(folder=str(some_loops))
-    assert _run(program, told=1) == "True True 16.0\nTrue 16.0\n"
-    assert _run(program, told=0) == "False False 16.0\nTrue 16.0\n"
+    assert _run(program, notices=1) == "True True 16.0\nTrue 16.0\n"
+    assert _run(program, notices=0) == "False False 16.0\nTrue 16.0\n"
     assert _run(program, OHMSKIN_COMPILED="off") == "False False 16.0\nFalse 16.0\n"
 
 
@@ -360,4 +362,4 @@ def test_where_no_other_process_can_compile_this_one_does(some_loops: Path) -> N
         "began =", "compiled._PROGRAM = 'raise SystemExit(1)'; began ="
     )
     program = program.replace(", twice_doubled\n", "\n").replace("twice_doubled", "doubled")
-    assert _run(program, told=2) == "True True 8.0\nTrue 8.0\n"
+    assert _run(program, notices=2) == "True True 8.0\nTrue 8.0\n"

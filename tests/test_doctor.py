@@ -386,14 +386,14 @@ def test_answers_are_frames_though_some_came_later_than_others() -> None:
 
 
 def test_only_ports_with_a_uart_are_tried_at_several_baud_rates(tmp_path: Path) -> None:
-    told: list[str] = []
+    said: list[str] = []
     with PtyPort(tmp_path / "skin") as port:
         assert not any(map(has_baud_rate, (port.name, str(tmp_path / "skin"), "socket://127.0.0.1:9")))
-        traffic = examine_traffic(port.name, listen_s=0.1, tell=told.append)
+        traffic = examine_traffic(port.name, listen_s=0.1, tell=said.append)
     assert all(map(has_baud_rate, ("/dev/ttyUSB0", "rfc2217://127.0.0.1:9")))
     assert traffic.finding.found == "silent, also when asked in each family's way"
-    assert told
-    assert all("115200 baud" in text for text in told)
+    assert said
+    assert all("115200 baud" in text for text in said)
 
 
 def test_random_bytes_sound_like_no_board() -> None:

@@ -196,7 +196,7 @@ def test_the_driver_reads_pressures_off_the_program() -> None:
     assert np.abs(frames[-1].pressure[2, 1] - 12.0) < 1.0
 
 
-# ---- what it is told
+# ---- what it is ordered
 
 
 @pytest.mark.slow
@@ -278,7 +278,7 @@ def test_the_end_of_a_finite_run_is_an_end_and_no_pulled_cable(loss: float, tmp_
         running(scene(line={"packet_loss": loss}), port, engine="firmware", clock="fast", duration_s=6.0, truth=truth),
         Skin.open(port.name, delivery="lossless", timeout=60.0) as skin,
     ):
-        first, *others = skin  # a LinkError, if the end were not told
+        first, *others = skin  # a LinkError, if the end were not announced
         stats = skin.stats()
     with np.load(truth) as arrays:
         sent = arrays["sequence"][-1] + 1

@@ -123,13 +123,13 @@ def test_a_suite_overwrites_nothing(suite: Path) -> None:
     assert (suite / "test_skin.py").read_text() == "mine"
 
 
-def test_a_person_is_told_what_to_press() -> None:
-    told: list[str] = []
+def test_a_person_is_asked_what_to_press() -> None:
+    asked: list[str] = []
     real = BoardInService("/dev/ttyACM0", "/dev/ttyACM0", "ohmskin", None)
-    with Press(real, (4, 4), told.append)(7.5, cells=[(0, 1)]) as load:
+    with Press(real, (4, 4), asked.append)(7.5, cells=[(0, 1)]) as load:
         assert load.pressure_kpa[0, 1] == 7.5
         assert load.pressure_kpa.sum() == 7.5
-        assert told == ["Press with 7.5 kPa on each of the cells (row, column) [(0, 1)], and hold"]
-    assert told[1:] == ["Take everything off the skin"]
+        assert asked == ["Press with 7.5 kPa on each of the cells (row, column) [(0, 1)], and hold"]
+    assert asked[1:] == ["Take everything off the skin"]
     with pytest.raises(TargetMissing, match="nobody is there"), Press(real, (4, 4), None)(1.0, cells=[(0, 0)]):
         pass

@@ -1,4 +1,4 @@
-"""The symbolic link of an emulator: one owner at a time, taken over from a dead one, never from a stranger."""
+"""The symbolic link of an emulator: one owner at a time, taken over from a dead one, never from another program."""
 
 from __future__ import annotations
 

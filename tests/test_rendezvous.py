@@ -138,16 +138,16 @@ class TestEnds:
                 patience.spend(f"{old_name} to go away")
             names = [""]
             while names[-1] != old_name and len(names) < 8:  # a test beside this one may take it
-                master, stranger = os.openpty()
-                names.append(os.ttyname(stranger))
-                tty.setraw(stranger, termios.TCSANOW)
+                master, other = os.openpty()
+                names.append(os.ttyname(other))
+                tty.setraw(other, termios.TCSANOW)
                 ends.callback(os.close, master)
-                ends.callback(os.close, stranger)
+                ends.callback(os.close, other)
             os.write(master, b"for somebody else")
             back = next(frame for frame in skin if frame.reconnected)
             assert back.rebooted
             assert port.name not in names
-            assert os.read(stranger, 100) == b"for somebody else"
+            assert os.read(other, 100) == b"for somebody else"
 
     def test_a_bridge_that_hangs_up_and_goes_on_listening_is_no_end(self) -> None:
         """As a bridge from TCP to a serial port does when the cable behind it is pulled."""
@@ -208,7 +208,7 @@ class TestOtherMachines:
         return lambda: monkeypatch.setenv("OHMSKIN_RUNTIME_DIR", str(tmp_path / "here"))
 
     @pytest.mark.parametrize("reconnect", [0.0, 1e6])
-    def test_the_regular_end_is_told_by_urgent_data(self, elsewhere: Callable[[], None], reconnect: float) -> None:
+    def test_the_regular_end_is_sent_by_urgent_data(self, elsewhere: Callable[[], None], reconnect: float) -> None:
         """At once: who waited until it is clear that nobody listens any more would wait for ten days here."""
         port = TcpPort.at(":0")
         elsewhere()

@@ -91,7 +91,7 @@ def test_without_the_library_the_command_reads_and_without_both_what_is_missing_
 
 
 def test_no_run_begins_with_commands_of_a_file(tmp_path: Path) -> None:
-    """ngspice runs ~/.spiceinit, libngspice that of the working folder, which may be a stranger's."""
+    """ngspice runs ~/.spiceinit, libngspice that of the working folder, which may be anybody's."""
     need(command_available())
     init = f"* commands\nshell touch {tmp_path}/ran\n"
     for folder in ("home", "work"):

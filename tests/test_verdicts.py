@@ -196,16 +196,16 @@ def test_without_matplotlib_only_pictures_are_missing(monkeypatch: pytest.Monkey
     assert all(r.measurement is not None and not r.measurement.figures for r in after.results)
 
 
-def test_each_verdict_is_told_when_it_is_known() -> None:
-    told: list[str] = []
+def test_each_verdict_is_reported_when_it_is_known() -> None:
+    reported: list[str] = []
 
     def tell(found: object) -> None:
-        told.append(str(getattr(found, "requirement", found)))
-        if len(told) == 2:
+        reported.append(str(getattr(found, "requirement", found)))
+        if len(reported) == 2:
             raise KeyboardInterrupt
 
     report = verify(SHORTED, only=["D4", "D5", "D6", "D11"], tell=tell)
-    assert len(told) == 2
+    assert len(reported) == 2
     assert isinstance(report.interruption, KeyboardInterrupt)
     assert [r.reason for r in report.results][2:] == ["the run was stopped before"] * 2
     assert report.exit_code != 0

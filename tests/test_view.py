@@ -67,7 +67,7 @@ class Live:
     def frame_of(self, values: dict[str, Any]) -> Frame:
         """The driver's frame with the time that a frame of the page has."""
         patience = Patience()
-        while values["hostTime_s"] not in self.frames:  # the page may be told before this test is
+        while values["hostTime_s"] not in self.frames:  # the page may have it before this test is
             patience.spend()
             time.sleep(0.01)
         return self.frames[values["hostTime_s"]]
@@ -195,7 +195,7 @@ def test_cells_are_drawn_where_they_are(browser: Browser, space: bool) -> None:
         )
 
 
-def test_the_cell_under_the_pointer_is_told_in_full(browser: Browser) -> None:
+def test_the_cell_under_the_pointer_is_shown_in_full(browser: Browser) -> None:
     with live(event=[SHORTED]) as board, opened(browser, board.url) as page:
         board.hand.press(bump())
         frame = board.frame_of(paused(page))
@@ -263,16 +263,16 @@ def test_total_force_threshold_and_what_can_be_saved(browser: Browser) -> None:
         page.fill("#threshold", "0.5")
         assert page.evaluate("[ohmskin.plotView().unit, ohmskin.plotView().threshold]") == ["N", 0.5]
         assert page.evaluate("ohmskin.total.at(ohmskin.total.length - 1)[1]") == pytest.approx(force, rel=0.05)
-        with page.expect_download() as told:
+        with page.expect_download() as download:
             page.click("#numbers")
-        lines = told.value.path().read_text().splitlines()
+        lines = download.value.path().read_text().splitlines()
         assert lines[0] == "row,column,pressure_kpa,std_kpa,resistance_ohm,counts,valid"
         table = [line.split(",") for line in lines[1:]]
         assert [int(line[5]) for line in table] == frame.counts.ravel().tolist()
         assert [line[6] == "1" for line in table] == frame.valid.ravel().tolist()
-        with page.expect_download() as told:
+        with page.expect_download() as download:
             page.click("#picture")
-        assert told.value.path().read_bytes().startswith(b"\x89PNG")
+        assert download.value.path().read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_recording_is_begun_and_ended_by_a_button(
@@ -486,7 +486,7 @@ def join(url: str, **options: Any) -> ClientConnection:
 
 
 def answer_to(socket: ClientConnection, order: str | bytes) -> Any:
-    """The next answer that is not a status: told as an object, or a frame as bytes."""
+    """The next answer that is not a status: an object, or a frame as bytes."""
     socket.send(order)
     return next_answer(socket)
 
@@ -496,9 +496,9 @@ def next_answer(socket: ClientConnection) -> Any:
         answer = socket.recv(timeout=HANG_S)
         if isinstance(answer, bytes):
             return answer
-        told = json.loads(answer)
-        if told["kind"] not in ("status", "handshake"):
-            return told
+        message = json.loads(answer)
+        if message["kind"] not in ("status", "handshake"):
+            return message
 
 
 def status_of(url: str, host: str, path: str | None = None, method: str = "GET") -> int:
@@ -573,10 +573,10 @@ def test_junk_is_answered_in_one_line_and_harms_nobody() -> None:
     ]
     with still() as (url, port), join(url) as good, join(url) as bad:
         for message in junk:
-            told = answer_to(bad, message)
-            assert told["kind"] == "refused", message
-            assert told["text"].isprintable()
-            assert len(told["text"]) < 400
+            refusal = answer_to(bad, message)
+            assert refusal["kind"] == "refused", message
+            assert refusal["text"].isprintable()
+            assert len(refusal["text"]) < 400
         bad.send("x" * 5000)
         with pytest.raises(ConnectionClosed):
             next_answer(bad)
@@ -667,9 +667,9 @@ def test_the_map_fills_its_panel_and_nothing_is_cut_off(browser: Browser) -> Non
 def raw_status(url: str, request: bytes) -> int:
     """The HTTP status of any bytes."""
     parts = urlsplit(url)
-    with socket.create_connection((parts.hostname, parts.port or 0), timeout=60) as stranger:
-        stranger.sendall(request)
-        answer = stranger.makefile("rb").readline()
+    with socket.create_connection((parts.hostname, parts.port or 0), timeout=60) as client:
+        client.sendall(request)
+        answer = client.makefile("rb").readline()
     return int(answer.split()[1])
 
 
@@ -705,22 +705,22 @@ def test_unauthenticated_connections_are_few_and_in_nobodys_way() -> None:
         before = len(os.listdir("/proc/self/fd"))
         with join(url) as browser:
             for number in range(4):
-                strangers = [crowd.enter_context(socket.create_connection(address, timeout=60)) for _ in range(100)]
-                for stranger in strangers[::2]:
-                    stranger.sendall(b"GET / HTTP/1.1\r\nHost: ")
+                clients = [crowd.enter_context(socket.create_connection(address, timeout=60)) for _ in range(100)]
+                for client in clients[::2]:
+                    client.sendall(b"GET / HTTP/1.1\r\nHost: ")
                 assert status_of(url, urlsplit(url).netloc) == 200
                 assert isinstance(answer_to(browser, f'{{"do": "next", "after": {number - 1}}}'), bytes)
                 port.say(*board_says(range(number + 2, number + 3))[2:])
                 if not number:
-                    first = strangers
-            for stranger in first:
+                    first = clients
+            for client in first:
                 with suppress(ConnectionError):
-                    assert stranger.recv(100) == b""
+                    assert client.recv(100) == b""
             served_now = len(os.listdir("/proc/self/fd")) - before - 400
             assert served_now < 140, "of 400 that hold on, which are of this process, too"
 
 
-def test_a_stranger_who_says_nothing_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_client_that_sends_nothing_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ohmskin.view._server.REQUEST_S", 0.2)
     with (
         still() as (url, _),
@@ -728,9 +728,9 @@ def test_a_stranger_who_says_nothing_is_hung_up_on(monkeypatch: pytest.MonkeyPat
         socket.create_connection(("127.0.0.1", urlsplit(url).port or 0), timeout=60) as slow,
     ):
         slow.sendall(b"GET / HTTP/1.1\r\nHost:")
-        for stranger in (idle, slow):
+        for client in (idle, slow):
             with suppress(ConnectionError):
-                assert stranger.recv(100) == b""
+                assert client.recv(100) == b""
 
 
 def test_a_browser_that_pings_and_reads_nothing_is_hung_up_on(caplog: pytest.LogCaptureFixture) -> None:
@@ -752,15 +752,17 @@ def test_a_browser_that_pings_and_reads_nothing_is_hung_up_on(caplog: pytest.Log
     assert "it sends pings and reads no answers" in caplog.text
 
 
-def test_what_asyncio_says_of_strangers_does_not_reach_the_terminal(caplog: pytest.LogCaptureFixture) -> None:
+def test_what_asyncio_logs_of_unauthenticated_clients_does_not_reach_the_terminal(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     """Where there are too many open files it has much to say, once a second."""
     with still() as (url, _), contextlib.ExitStack() as waiting:
         address, limits = ("127.0.0.1", urlsplit(url).port or 0), resource.getrlimit(resource.RLIMIT_NOFILE)
         logging.getLogger("ohmskin.view").setLevel(logging.ERROR)
-        stranger = waiting.enter_context(socket.socket())
+        client = waiting.enter_context(socket.socket())
         try:
             resource.setrlimit(resource.RLIMIT_NOFILE, (len(os.listdir("/proc/self/fd")) - 1, limits[1]))
-            stranger.connect(address)
+            client.connect(address)
             wait_until(lambda: any("accept" in record.message for record in caplog.records))
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, limits)

@@ -1,4 +1,4 @@
-"""What a stranger sends is values only: no board, recording or message names a file, code, or what a check has made."""
+"""Untrusted input is values only: no board, recording or message names a file, code, or what a check has made."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OWN_ONLY = [
     ("requirement", None, [{"id": "X", "quantity": "checks.py:f", "max": 1.0}]),
     ("requirement", None, [{"id": "X", "quantity": "crosstalk", "max": 1e9}]),
 ]
-"""tables of a design and what a stranger may not put there: files, their content, code, and the own measure"""
+"""tables of a design and what an untrusted sender may not put there: files, their content, code, and the own measure"""
 
 
 def _tables(table: str, key: str | None, value: Any) -> dict[str, Any]:
@@ -99,7 +99,7 @@ def _inner(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 @pytest.mark.parametrize("root", [Design, Cell, BoardFile, Scene])
-def test_a_key_that_names_a_file_is_of_the_type_that_refuses_strangers(root: type[BaseModel]) -> None:
+def test_a_key_that_names_a_file_is_of_the_type_that_refuses_untrusted_senders(root: type[BaseModel]) -> None:
     (refuse,) = LocalFile.__metadata__
     for model in _models(root, set()):
         for name, field in model.model_fields.items():
