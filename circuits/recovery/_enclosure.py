@@ -30,6 +30,7 @@ _MARGIN = 1.2  # for segments, and for what is beyond the first order
 _UNCLEAR = 0.1  # relative error from which on a cell's own error counts in other columns
 _TIED = 0.01  # share of a row's drive from which on a cell ties its column to the row
 _UNUSUAL = 30.0  # largest ratio of a cell beside a short to the best conducting one, behind amplifiers
+_ROUNDS = 12  # to the bounds of cells along a column; more of them change none by a tenth
 _MOST = 1e6  # relative change that stands for any larger one
 _CORRECTED = 3.0  # most by which a cell beyond the law's counts
 _LEAST_LEFT = 1e-9  # of a row's drive
@@ -96,6 +97,64 @@ def usual_conductance(by_law: Rows, estimate: Rows, above: Rows, under_range: Fl
     """S that cell (i, j) conducts, or conducts at most."""
     usual: float = above[i, j] if under_range[i, j] else max(min(by_law[i, j], _CORRECTED * estimate[i, j]), 0.0)
     return usual
+
+
+@loop
+def along_column(
+    limited: FlagRows,
+    apart: Rows,
+    of_driven: Rows,
+    of_cells: Blocks,
+    j: int,
+    toward: Rows,
+    away: Rows,
+    most: Rows,
+    above: Rows,
+) -> None:
+    """Raise the upper bounds ``above`` (N, M) of the cells of a column with segments, of which some are at a limit.
+
+    A current passes by all cells on its way to the column's end, and part of it leaves by each of them: what is read
+    of a cell far from the end is less than its share the better the others conduct. Rounds that begin with shorts
+    narrow the bounds of cells whose readings are within the limits; they hold in every round.
+
+    Args:
+        limited: and further arguments: as of :func:`enclose`.
+        j: the column.
+        toward: changed, as ``away`` and ``most``.
+        above: changed.
+    """
+    rows = apart.shape[0]
+    wire, short = of_cells[BEHIND_CELL], of_cells[SHORT]
+    first, one = (0, 1) if wire[0, j] <= wire[rows - 1, j] else (rows - 1, -1)
+    last = rows - 1 - first
+    if not wire[last, j] > wire[first, j]:
+        return
+    some = False
+    for i in range(rows):
+        some = some or limited[i, j]
+        most[i, j] = short[i, j]
+    for _ in range(_ROUNDS if some else 0):
+        away[last, j] = 0.0
+        for number in range(rows - 1):
+            i = last - one * number
+            beyond = most[i, j] + away[i, j]
+            away[i - one, j] = 1.0 / (abs(wire[i, j] - wire[i - one, j]) + 1.0 / max(beyond, TINY))
+        toward[first, j], passes = 1.0 / (wire[first, j] + LEAST_SHORT_OHM), 1.0
+        for number in range(rows):
+            i = first + one * number
+            if number > 0:
+                before = toward[i - one, j] + most[i - one, j]
+                passes *= toward[i - one, j] / before
+                toward[i, j] = 1.0 / (abs(wire[i, j] - wire[i - one, j]) + 1.0 / before)
+            out = toward[i, j] + away[i, j]
+            into = (max(apart[i, j], 0.0) + of_driven[i, j]) * out / (passes * toward[i, j])
+            away[i, j] = into / (1.0 - into / out) if into < out else math.inf
+        for i in range(rows):
+            if not limited[i, j]:
+                most[i, j] = min(most[i, j], away[i, j])
+    if some:
+        for i in range(rows):
+            above[i, j] = max(above[i, j], most[i, j])
 
 
 @loop
@@ -218,6 +277,8 @@ def enclose(
                 above[i, j] = driven[i, j] + wider
             elif under_range[i, j]:
                 above[i, j] += wider
+        if here and not floating:
+            along_column(limited, apart, of_driven, of_cells, j, row, low, high, above)
     # V, of the columns above the idle lines while each row is driven.
     for i in range(rows):
         for j in range(columns):
@@ -325,6 +386,7 @@ def enclose(
                 by_sum = per_sum[i, j] * width[j] / nominal if per_sum[i, j] != 0.0 and width[j] != 0.0 else 0.0
                 changed = up * (1.0 + by_sum + more_here / nominal) - 1.0
                 changed = max(changed, 1.0 - down * (1.0 - by_sum - less_here / nominal))
+                changed = max(changed, up * (above[i, j] + more_here) / nominal - 1.0)
             else:
                 middle = own + (of_column * total_usual if of_column != 0.0 else 0.0)
                 highest = (own + more_here / row[i, j]) * up
