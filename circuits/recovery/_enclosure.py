@@ -300,7 +300,10 @@ def enclose(
             in_columns[3, j] += above[i, j] if limited[i, j] else max(driven[i, j], 0.0)
     more, less = change, least
     for i in range(rows):
-        highest = 0.0
+        highest, fed = 0.0, 0.0
+        for j in range(columns):
+            if not limited[i, j]:
+                fed += max(-driven[i, j], 0.0)
         for j in range(columns):
             full = abs(board.drive) if floating else abs(drives[i, j])
             highest = max(highest, potential[i, j] / full)
@@ -311,6 +314,8 @@ def enclose(
                 if board.saturates > 0.0:  # currents leave by the idle rows of the column's other cells, too
                     beside, short = max(in_columns[3, j] - above[i, j], 0.0), of_cells[SHORT, i, j]
                     into_end = min(into_end + beside / (1.0 + beside / short), short)
+                if floating:  # what columns at other potentials feed into the row leaves by this cell, too
+                    into_end = into_end * (1.0 + potential[i, j] / full) + fed
                 more[i, j] = max(into_end - apart[i, j] * (abs(drives[i, j]) / full), 0.0)
         for j in range(columns):
             row[i, j] = min(max(1.0 - lost_along(shared, ordinary, i, j), _LEAST_LEFT), 1.0)
@@ -483,8 +488,12 @@ def added_between(
             doubt = doubt or linear[i, j] > _UNCLEAR
             if unknown and loose[i, j] > _TIED:
                 tied += 1
-            if conducting[i, j] > 0.0:
-                grown = row[i, j] / low[i, j] if low[i, j] > 0.0 else math.inf
+            # A row that floats drives its cells by what it stands above their columns; else they say nothing.
+            stands = low[i, j] - (potential[i, j] / abs(drives[i, j]) if floating else 0.0)
+            if floating and some and not limited[i, j] and stands <= 0.0:
+                conducting[i, j] = _MOST
+            elif conducting[i, j] > 0.0:
+                grown = row[i, j] / stands if stands > 0.0 else math.inf
                 conducting[i, j] = min(conducting[i, j] * grown, _MOST)
             loose_sum[i] += loose[i, j]
             share_sum[i] += share[i, j]

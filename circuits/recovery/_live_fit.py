@@ -453,12 +453,13 @@ class FitLive:
                     continue
                 self._damping = self._damping / _MORE_DAMPED if self._damping > _UNDAMPED else 0.0
                 gains = now < _GAINS * misfit
+                if not (gains or near) and renewals:
+                    self._linear, gains = None, True
                 log, apart, misfit, before = trial, ahead, now, length
         except np.linalg.LinAlgError:
             self._log = self._linear = None
             return None
-        # What a cell at a limit leaves of the other readings is no noise: it stands elsewhere in its interval.
-        settled = still and misfit <= (_FITS if pinned.any() else NO_FIT)
+        settled = still and (misfit <= _FITS or (misfit <= NO_FIT and self._only_loose(apart, coarser)))
         if self._sheet is not None and settled:
             settled = self._follow_sheet(log, coarser)
         self._log, self._astray, self._still = log, not settled, still
@@ -475,6 +476,17 @@ class FitLive:
             return None
         moved = np.exp(np.minimum(np.abs(log - self._linear.log), 1.0))
         return log, self._linear.std(coarser) * moved, self._linear.left(apart, coarser), misfit
+
+    def _only_loose(self, apart: FloatArray, coarser: float) -> bool:
+        """Whether what is ``apart`` (n,) in V is hardly known cells' alone, and leaves the others where they are.
+
+        What a cell at a limit leaves of other readings is not: it stands elsewhere in its interval.
+        """
+        if self._linear is None or not self._read.all():
+            return False
+        std = self._linear.std(coarser)
+        left = np.abs(self._linear.left(apart, coarser)) > np.maximum(SETTLED * std, SMALL)
+        return not (left & (std <= HARDLY_KNOWN)).any()
 
     def _follow_sheet(self, log: FloatArray, coarser: float) -> bool:
         """Solve the continuous sheet anew if its cells have moved; False: the fit goes on in the next frame."""
