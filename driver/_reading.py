@@ -60,8 +60,8 @@ class CountReader:
         low, high = design.readout.supply
         beyond_half_step = adc_error(design) - adc.step / 2  # V, by which a limited output may read inside it
         self._first, self._last = self._codes_within(low + beyond_half_step, high - beyond_half_step)
-        self._rising = (design.drive.voltage > 0) != design.board.circuit.inverts  # whether current raises the outputs
-        self._level = design.readout.reference_voltage
+        self._rising = (design.board.drive > 0) != design.board.circuit.inverts  # whether current raises the outputs
+        self._level = design.board.level
         self._design_noise = _noise_of(design)  # V
         assumed = 0.0 if self._design_noise else _ASSUMED * adc.step
         self._noise = NoiseEstimate(math.prod(self._shape), quantum=adc.step, assumed=assumed)

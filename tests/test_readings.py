@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from designs import digitised
 
-from ohmskin.circuits import Design, adc_codes, scan
+from ohmskin.circuits import Design, Reason, adc_codes, scan
 from ohmskin.driver import CountReader
 
 
@@ -84,3 +84,47 @@ def test_what_is_not_known_has_no_value() -> None:
     assert np.isnan(told.conductance[unknown]).all()
     assert (told.noise_variance[unknown] == 0.0).all()
     assert np.isinf(told.greatest[unknown]).all()
+
+
+DRIVEN_BELOW = {
+    "amplifiers": (
+        {"selected": ["V1 s ref -1", "R1 s line 20"], "idle": ["R1 line ref 20"]},
+        ["X1 ref line out opamp open_loop_gain=2e4", "R1 line out 2.2k"],
+        0.5,
+    ),
+    "two stages": (
+        {"selected": ["V1 s 0 -1", "R1 s line 20"], "idle": ["R1 line 0 20"]},
+        ["X1 0 line a opamp", "R1 line a 2.2k", "R2 a b 10k", "R3 b out 10k", "X2 0 b out opamp"],
+        0.0,
+    ),
+    "pulled up": (
+        {"selected": ["R1 line 0 25"], "idle": ["V1 vcc 0 3", "R1 vcc line 25"]},
+        ["V1 vcc 0 3", "R1 vcc line 5k"],
+        0.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", DRIVEN_BELOW)
+def test_a_short_of_a_described_board_stands_at_the_limit_of_most_current(kind: str) -> None:
+    """Whichever way the drive and the ends turn it; what a short may take from its row's drive counts in the others."""
+    row_end, parts, level = DRIVEN_BELOW[kind]
+    tables = {
+        "array": {"rows": 6, "columns": 5, "row_lead": 6.0, "column_lead": 9.0},
+        "row_end": row_end,
+        "column_end": {"parts": parts},
+        "readout": {"reference_voltage": level},
+    }
+    cells = 9e3 * np.exp(np.random.default_rng(3).uniform(-0.1, 0.1, (6, 5)))
+    usual = scan(Design.model_validate(tables), cells).volts
+    cells[3, 2] = 0.05
+    short = scan(Design.model_validate(tables), cells).volts[3, 2]
+    near, far = usual[3, 2] + 0.6 * (short - usual[3, 2]), usual[3, 2] - 2.0 * (short - usual[3, 2])
+    board = Design.model_validate(tables | {"adc": {"bits": 16, "range": sorted((near, far))}})
+    read = CountReader(board)
+    for _ in range(4):
+        measured = read(adc_codes(board, scan(board, cells).volts))
+    assert measured.reason[3, 2] == Reason.SATURATED
+    valid = measured.valid
+    error = np.abs(measured.resistance[valid] / cells[valid] - 1.0)
+    assert (error <= measured.uncertainty[valid]).all()
