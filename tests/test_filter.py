@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -129,6 +130,43 @@ def test_what_was_left_of_a_load_goes_within_the_step_that_comes_to_rest(dt_s: f
     assert c.s[modes.REST] == 0.0
     assert c.x3[modes.REST] == pytest.approx(x3, abs=1e-8)
     assert c.r[modes.REST] == pytest.approx(r, abs=1e-6)
+
+
+PAIRS = {
+    "hold": (modes.HOLD_UP, modes.HOLD_DOWN, 0.0, math.inf),
+    "creep": (modes.CREEP_UP, modes.CREEP_DOWN, TUNING.creep_per_s, TUNING.creep_s),
+    "line": (modes.LINE_UP, modes.LINE_DOWN, TUNING.line_per_s, TUNING.line_s),
+    "move": (modes.MOVE_UP, modes.MOVE_DOWN, TUNING.move_per_s, TUNING.move_s),
+    "edge": (modes.EDGE_UP, modes.EDGE_DOWN, 0.0, math.inf),
+}
+"""motions: modes of the two phases, their usual speed in FS/s, and for how long it lasts"""
+
+
+@pytest.mark.parametrize("motion", PAIRS)
+def test_both_phases_are_equally_noisy_in_r(motion: str) -> None:
+    """Otherwise the quieter phase would win where readings cannot tell them apart."""
+    up, down, *_ = PAIRS[motion]
+    t = step_of(1e-4)  # in which no memory fades
+    noise = t.noise_rr - TUNING.drift**2 * t.dt_s
+    assert noise[up] > 0.0
+    assert noise[up] == pytest.approx(noise[down], rel=1e-3)
+    assert t.noise_sr[up] / t.noise_ss[up] == pytest.approx(MATERIAL.gu, rel=1e-3)
+    assert t.noise_sr[down] / t.noise_ss[down] == pytest.approx(MATERIAL.g1, rel=1e-3)
+
+
+@pytest.mark.parametrize("motion", ["creep", "line", "move"])
+@given(st.floats(1e-3, 0.2))
+def test_the_speed_of_a_motion_is_an_ornstein_uhlenbeck_process(motion: str, dt_s: float) -> None:
+    """It is forgotten in the time that the motion lasts, and its stationary deviation is the usual speed.
+
+    That speed changes r by as much as the tuned one does at the mean gain of the phases.
+    """
+    up, down, per_s, lasts_s = PAIRS[motion]
+    t, mean_gain = step_of(dt_s), 0.5 * (MATERIAL.gu + MATERIAL.g1)
+    for mode, gain in ((up, MATERIAL.gu), (down, MATERIAL.g1)):
+        assert t.kept[mode] == pytest.approx(np.exp(-dt_s / lasts_s))
+        assert t.noise_vv[mode] / (1.0 - t.kept[mode] ** 2) == pytest.approx(t.speed[mode] ** 2)
+        assert gain * t.speed[mode] == pytest.approx(mean_gain * per_s)
 
 
 @given(st.floats(1e-3, 0.2))
