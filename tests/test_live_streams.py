@@ -45,6 +45,7 @@ FOUND = {
     "floating rows that join columns": [f"multiplexed:410000{number}" for number in (219, 239, 263, 286)],
     "an idle column stands elsewhere than the one that is read": ["multiplexed:430000163"],
     "saturated cells of one column beside each other": ["inverting:900037", "inverting:900078"],
+    "what cells draw that are bounded beside all others adds up": ["row:7149"],
     "shorts in the only row": ["feedback:440000146"],
     "a pressed column with segments beside cells at a limit": ["inverting:530000015"],
     "what offsets feed into a floating row": ["row floating:540000054"],

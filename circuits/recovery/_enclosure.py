@@ -78,16 +78,20 @@ def lost_along(shared: Blocks, conductance: Rows, i: int, j: int) -> float:
 
 
 @loop
-def left_along(shared: Blocks, more: Rows, i: int, j: int) -> float:
-    """Least share of a row's drive that cells leave at (i, j) which, each alone, draw so many S of the drive more.
+def left_along(shared: Blocks, row: Rows, more: Rows, limited: FlagRows, i: int, j: int) -> float:
+    """Least share of a row's drive ``row`` that cells leave at (i, j) which draw so many S more.
 
-    Together they draw less. A load of conductance g at k divides what is left at j by at most 1 + R_jk g, where R_jk is
-    their wire in common.
+    Those at a limit do so each alone, and together less: a load of conductance g at k divides what is left at j by at
+    most 1 + R_jk g, where R_jk is their wire in common, and alone draws g of what it leaves of the drive there. What
+    others draw is bounded beside all, and adds up.
     """
-    left = 1.0
+    left: float = row[i, j]
     for k in range(more.shape[1]):
-        alone = 1.0 - shared[i, k, k] * more[i, k]
-        if shared[i, j, k] != 0.0 and more[i, k] > 0.0:
+        if shared[i, j, k] != 0.0 and not limited[i, k]:
+            left -= shared[i, j, k] * more[i, k]
+    for k in range(more.shape[1]):
+        if shared[i, j, k] != 0.0 and limited[i, k] and more[i, k] > 0.0:
+            alone = row[i, k] - shared[i, k, k] * more[i, k]
             left = left / (1.0 + shared[i, j, k] * more[i, k] / alone) if alone > 0.0 else 0.0
     return left
 
@@ -319,10 +323,11 @@ def enclose(
                 more[i, j] = max(into_end - apart[i, j] * (abs(drives[i, j]) / full), 0.0)
         for j in range(columns):
             row[i, j] = min(max(1.0 - lost_along(shared, ordinary, i, j), _LEAST_LEFT), 1.0)
+        for j in range(columns):
             slack = of_cells[TO_DRIVER, i, j] * of_sums[i] if row_open[i] > OPEN_ROW else 0.0
             lowest = row[i, j] - lost_along(shared, more, i, j)
             if board.holds > 0.0:
-                lowest = max(lowest, row[i, j] * left_along(shared, more, i, j))
+                lowest = max(lowest, left_along(shared, row, more, limited, i, j))
             lowest -= slack
             high[i, j] = min(row[i, j] + lost_along(shared, less, i, j) + slack, 1.0)
             if board.divides > 0.0:  # a row stands above all columns that it feeds
