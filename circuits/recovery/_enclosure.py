@@ -343,6 +343,7 @@ def enclose(
             apart,
             drives,
             driven,
+            of_driven,
             by_law,
             estimate,
             linear,
@@ -375,17 +376,21 @@ def enclose(
             up, down = row[i, j] / low[i, j] if low[i, j] > 0.0 else math.inf, row[i, j] / high[i, j]
             own, of_column, more_here = apart[i, j] / row[i, j], share[i, j] / row[i, j], added[i, j]
             left -= of_column
-            left_high -= of_column * up if of_column != 0.0 else 0.0
-            left_low -= of_column * down
+            # A row that may have lost its drive makes more of a reading's error, whose sign may be either.
+            left_high -= max(of_column * up, of_column * down) if of_column != 0.0 else 0.0
+            left_low -= min(of_column * up, of_column * down) if of_column != 0.0 else 0.0
             sum_usual += own
-            sum_high += own * up if own != 0.0 else 0.0
+            sum_high += max(own * up, own * down) if own != 0.0 else 0.0
+            sum_high += of_driven[i, j] / row[i, j] * (up - 1.0) if up > 1.0 else 0.0
             sum_high += more_here / low[i, j] if more_here != 0.0 and low[i, j] > 0.0 else 0.0
             if more_here != 0.0 and not low[i, j] > 0.0:
                 sum_high = math.inf
-            sum_low += own * down - along[i, j] / row[i, j]
+            sum_low += (min(own * up, own * down) if own != 0.0 else 0.0) - along[i, j] / row[i, j]
         total_usual = sum_usual / left if left != 0.0 else math.inf
         total_high = sum_high / left_high if left_high > 0.0 and left > 0.0 else math.inf
         total_low = sum_low / left_low if left_low != 0.0 else -math.inf
+        if sum_low < 0.0:
+            total_low = sum_low / left_high if left_high > 0.0 else -math.inf
         for i in range(rows):
             up, down = row[i, j] / low[i, j] if low[i, j] > 0.0 else math.inf, row[i, j] / high[i, j]
             own, of_column = apart[i, j] / row[i, j], share[i, j] / row[i, j]
@@ -405,6 +410,8 @@ def enclose(
                     highest += of_column * up * total_high
                     lowest += of_column * down * total_low
                 changed = max(highest - middle, middle - lowest) / max(abs(middle), TINY)
+                if math.isnan(highest) or math.isnan(lowest):
+                    changed = math.inf
             changed = math.inf if math.isnan(changed) else max(changed, 0.0)
             change[i, j] = _MARGIN * changed * max(abs(by_law[i, j]) / max(estimate[i, j], TINY), 1.0)
             least[i, j] = max(below[i, j] - less_here, 0.0) if limited[i, j] else 0.0
@@ -420,6 +427,7 @@ def added_between(
     apart: Rows,
     drives: Rows,
     driven: Rows,
+    of_driven: Rows,
     by_law: Rows,
     estimate: Rows,
     linear: Rows,
@@ -495,11 +503,11 @@ def added_between(
                 tied += 1
             # A row that floats drives its cells by what it stands above their columns; else they say nothing.
             stands = low[i, j] - (potential[i, j] / abs(drives[i, j]) if floating else 0.0)
-            if floating and some and not limited[i, j] and stands <= 0.0:
+            if not limited[i, j] and stands > 0.0:  # what little is left of the drive hides what its reading errs by
+                hidden = of_driven[i, j] * max(1.0 / stands - 1.0 / row[i, j], 0.0)
+                conducting[i, j] = min(conducting[i, j] * row[i, j] / stands + hidden, _MOST)
+            elif not limited[i, j] and (some or conducting[i, j] > 0.0):
                 conducting[i, j] = _MOST
-            elif conducting[i, j] > 0.0:
-                grown = row[i, j] / stands if stands > 0.0 else math.inf
-                conducting[i, j] = min(conducting[i, j] * grown, _MOST)
             loose_sum[i] += loose[i, j]
             share_sum[i] += share[i, j]
             conducting_sum[i] += conducting[i, j]
