@@ -31,7 +31,6 @@ from ._modes import (
     REST,
     SHAKE,
     TWICE,
-    UP,
     Step,
 )
 
@@ -107,8 +106,6 @@ NARROW = 0.7
 """width of an interval over the standard deviation, up to which it counts as part of the noise"""
 OVERLOADS = 1e-3
 """density of loads beyond an overload, over that of others"""
-LEAST_LOG = -700.0
-"""of a density"""
 LEAST = 1e-300
 """a number to divide by in place of 0"""
 LEAST_VAR = 1e-18
@@ -301,12 +298,6 @@ def mix(e: Estimates, c: Candidates, p: Pools, t: Step) -> None:
 def above_negligible(w: float) -> float:
     """A weight, or 0 of what is dropped."""
     return w if w > NEGLIGIBLE else 0.0
-
-
-@loop
-def phase_of(j: int) -> int:
-    """Phase of a mode: even ones recover, odd ones rise."""
-    return 2 if j == SHAKE else UP if j % 2 == 1 else DOWN
 
 
 @loop
