@@ -47,7 +47,7 @@ FOUND = {
     "saturated cells of one column beside each other": ["inverting:900037", "inverting:900078"],
     "what cells draw that are bounded beside all others adds up": ["row:7149"],
     "shorts in the only row": ["feedback:440000146"],
-    "readings of less than nothing in a row without drive": ["divider:570000055"],
+    "readings of less than nothing in a row without drive": ["divider:570000055", "inverting:610000142"],
     "a pressed column with segments beside cells at a limit": ["inverting:530000015"],
     "what offsets feed into a floating row": ["row floating:540000054"],
     "a fit that creeps along a valley": ["loaded:900017"],

@@ -97,6 +97,12 @@ def left_along(shared: Blocks, row: Rows, more: Rows, limited: FlagRows, i: int,
 
 
 @loop
+def product(low: float, high: float, least: float, most: float) -> tuple[float, float]:
+    """Ends of an interval times another one of positive numbers."""
+    return low * (most if low < 0.0 else least), high * (least if high < 0.0 else most)
+
+
+@loop
 def usual_conductance(by_law: Rows, estimate: Rows, above: Rows, under_range: FlagRows, i: int, j: int) -> float:
     """S that cell (i, j) conducts, or conducts at most."""
     usual: float = above[i, j] if under_range[i, j] else max(min(by_law[i, j], _CORRECTED * estimate[i, j]), 0.0)
@@ -404,13 +410,13 @@ def enclose(
                 changed = max(changed, up * (above[i, j] + more_here) / nominal - 1.0)
             else:
                 middle = own + (of_column * total_usual if of_column != 0.0 else 0.0)
-                highest = (own + more_here / row[i, j]) * up
-                lowest = (own - less_here / row[i, j]) * down
+                lowest, highest = product(own - less_here / row[i, j], own + more_here / row[i, j], down, up)
                 if of_column != 0.0:
-                    highest += of_column * up * total_high
-                    lowest += of_column * down * total_low
+                    of_low, of_high = product(total_low, total_high, down, up)
+                    lowest += of_column * (of_low if of_column > 0.0 else of_high)
+                    highest += of_column * (of_high if of_column > 0.0 else of_low)
                 changed = max(highest - middle, middle - lowest) / max(abs(middle), TINY)
-                if math.isnan(highest) or math.isnan(lowest):
+                if math.isinf(up) or math.isnan(highest) or math.isnan(lowest):
                     changed = math.inf
             changed = math.inf if math.isnan(changed) else max(changed, 0.0)
             change[i, j] = _MARGIN * changed * max(abs(by_law[i, j]) / max(estimate[i, j], TINY), 1.0)

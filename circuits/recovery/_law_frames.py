@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ...common.arrays import BoolArray, FloatArray
 from ...common.compiled import Blocks, FlagRows, Reasons, Records, Row, Rows, loop
+from ...common.config import MOST_SI
 from ...common.measurement import FIELDS, GREATEST, LEAST, Measurement
 from ...common.noise import constant_part, select
 from ._answers import MOST_WIRE, ONE
@@ -294,7 +295,7 @@ def take_faults_out(work: Blocks, of_cells: Blocks, i: int, j: int) -> None:
     together, series = work[CELLS, i, j], of_cells[SERIES, i, j]
     alone = max(together - of_cells[SHUNT, i, j], 0.0)
     if series > 0.0 and alone > 0.0:
-        alone = 1.0 / max(1.0 / alone - series, 0.0)
+        alone = 1.0 / max(1.0 / alone - series, 1.0 / MOST_SI)
     grown = math.inf
     if alone > 0.0:
         grown = together / alone * (1.0 + series * alone) * (1.0 + series * alone)
