@@ -35,8 +35,6 @@ R = TypeVar("R", bound=Readable)
 
 def number(name: str, value: object, unit: str = "") -> float:
     """A real number as a float. InputError for a NaN, for True and False, and for what is no number."""
-    if value.__class__ is float and value == value:  # noqa: PLR0124 - the usual case, without a call
-        return value
     if isinstance(value, _REAL) and not isinstance(value, bool) and not math.isnan(value):
         return float(value)
     raise InputError(f"{name} is {shown(value)}; expected a number{unit and f', in {unit}'}")

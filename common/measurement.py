@@ -148,7 +148,7 @@ def show_each(
         for j in range(ohm.shape[1]):
             why = reason[i, j]
             valid[i, j] = why == 0
-            unread[i, j] = not (why == 0 or why == NOISY)  # noqa: PLR1714 - Numba knows no sets
+            unread[i, j] = why not in (0, NOISY)
             ohm[i, j] = 1.0 / block[CONDUCTANCE, i, j] if why == 0 else math.nan
             beyond = beyond or (why == 0 and math.isnan(pressure[i, j]))
     return beyond

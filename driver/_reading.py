@@ -143,10 +143,7 @@ class CountReader:
         lowest, highest = self._usual_codes
         room = self._last - most if self._rising else least - self._first  # codes, to a limit of the swing
         # Whether a reading may have jumped, and by more than this.
-        jumped = (
-            room < 0.5 * self._codes
-            and self._noise.largest_change > (room if room > _JUMP * self._codes else _JUMP * self._codes) * self._step
-        )
+        jumped = room < 0.5 * self._codes and self._noise.largest_change > max(room, _JUMP * self._codes) * self._step
         self._silent, self._in_doubt = 0, False
         if jumped or most >= highest or least < lowest or self._limited is not None:
             return self._read_limited(counts, most, noise, jumped=jumped)

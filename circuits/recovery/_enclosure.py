@@ -99,7 +99,7 @@ def left_along(shared: Blocks, row: Rows, more: Rows, limited: FlagRows, i: int,
 @loop
 def product(low: float, high: float, least: float, most: float) -> tuple[float, float]:
     """Ends of an interval times another one of positive numbers."""
-    return low * (most if low < 0.0 else least), high * (least if high < 0.0 else most)
+    return low * (most if low < 0.0 else least), high * (most if high > 0.0 else least)
 
 
 @loop
@@ -383,15 +383,17 @@ def enclose(
             own, of_column, more_here = apart[i, j] / row[i, j], share[i, j] / row[i, j], added[i, j]
             left -= of_column
             # A row that may have lost its drive makes more of a reading's error, whose sign may be either.
-            left_high -= max(of_column * up, of_column * down) if of_column != 0.0 else 0.0
-            left_low -= min(of_column * up, of_column * down) if of_column != 0.0 else 0.0
+            of_low, of_high = product(of_column, of_column, down, up)
+            own_low, own_high = product(own, own, down, up)
+            left_high -= of_high
+            left_low -= of_low
             sum_usual += own
-            sum_high += max(own * up, own * down) if own != 0.0 else 0.0
+            sum_high += own_high
             sum_high += of_driven[i, j] / row[i, j] * (up - 1.0) if up > 1.0 else 0.0
             sum_high += more_here / low[i, j] if more_here != 0.0 and low[i, j] > 0.0 else 0.0
             if more_here != 0.0 and not low[i, j] > 0.0:
                 sum_high = math.inf
-            sum_low += (min(own * up, own * down) if own != 0.0 else 0.0) - along[i, j] / row[i, j]
+            sum_low += own_low - along[i, j] / row[i, j]
         total_usual = sum_usual / left if left != 0.0 else math.inf
         total_high = sum_high / left_high if left_high > 0.0 and left > 0.0 else math.inf
         total_low = sum_low / left_low if left_low != 0.0 else -math.inf

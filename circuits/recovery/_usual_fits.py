@@ -345,7 +345,7 @@ def state_fitted(
                 why = HIDDEN
             row, column = (columns - 1 - j, rows - 1 - i) if board.turned > 0.0 else (i, j)
             reason[row, column] = why
-            told = told if why == 0 or why == UNCERTAIN else math.inf  # noqa: PLR1714 - Numba knows no sets
+            told = told if why in (0, UNCERTAIN) else math.inf
             every = max(std[i, j] / (coarser * converter), per_volt[i, j])
             values = conductance[i, j], told, per_volt[i, j], 0.0, every, noise[row, column]
             block[LEAST, row, column], block[GREATEST, row, column] = 0.0, math.inf

@@ -226,7 +226,8 @@ class _Writer:
                 cards.append(f"{part} {name[a]} {name[b]} {ohm!r}")
         for at, network in networks:
             some = [card for card in network if not _is_wire(card, network)]
-            cards += spice_cards(some, lambda node, at=at: name[at.name(node)], f"_{at.place}{mark}")  # type: ignore[misc]
+            nodes = {node: name[at.name(node)] for card in some for node in card.nodes}
+            cards += spice_cards(some, nodes.__getitem__, f"_{at.place}{mark}")
         # No current flows in an island that nothing holds, so that a tie of 1 ohm changes no reading.
         for number, island in enumerate(held.subsets()):
             if GROUND not in {name[node] for node in island}:
