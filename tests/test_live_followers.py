@@ -22,11 +22,34 @@ def board(rows: int, columns: int, lead: float) -> Design:
     )
 
 
+def cells_between(rest_ohm: float, full_scale_ohm: float) -> dict[str, float]:
+    return {"rest_resistance": rest_ohm, "full_scale_resistance": full_scale_ohm}
+
+
+def test_cells_of_an_ohm_read_like_kiloohms_and_are_called_so_by_their_range_only() -> None:
+    """All readings of 6 x 8 cells of 1 ohm are those of some kiloohm, to 0.01 ADC steps."""
+    design = board(6, 8, 25.0).replace(
+        array={"column_lead": 0.0},
+        readout={"reference_resistance": 3e3, "offset_voltage": 0.0, "open_loop_gain": 300.0},
+    )
+    cells = np.full((6, 8), 1.0)
+    counts = adc_codes(design, scan(design, cells).volts)
+    reading = CountReader(design)(counts)
+    assert not reading.valid.any()
+    assert ((reading.least <= 1.0 / cells) & (1.0 / cells <= reading.greatest)).all()
+    known = CountReader(design.replace(cells=cells_between(10e3, 1e3)))(counts)
+    assert known.valid.all()
+    alike = scan(design, known.resistance).volts
+    assert (known.resistance > 1e3).all()
+    assert (np.abs(adc_codes(design, alike) - counts) <= 1).all()
+
+
 def test_a_press_to_a_few_ohm_beside_segments_leaves_no_wrong_cell() -> None:
     """Valid cells of 2 ohm were read as some hundred: the wire lessened what the column's other cells take."""
     shape, design = (5, 6), board(5, 6, 50.0)
     readout = {"reference_resistance": 3e3, "open_loop_gain": 1e3, "offset_voltage": 0.0}
-    design = design.replace(array={"column_lead": 0.0, "row_segment": 0.5, "column_segment": 0.5}, readout=readout)
+    array = {"column_lead": 0.0, "row_segment": 0.5, "column_segment": 0.5}
+    design = design.replace(array=array, readout=readout, cells=cells_between(50e3, 20.0))
     random = np.random.default_rng(1)
     rest, pressed = 10 ** random.uniform(4.6, 5.0, shape), random.uniform(2.0, 2.5, shape)
     read, valid = CountReader(design), 0
@@ -67,6 +90,7 @@ def test_equal_cells_far_above_their_leads_are_valid(
     """An offset that drives currents from the idle lines into a column cannot hide a pressed skin."""
     readout = {"reference_resistance": reference, "offset_voltage": offset, "open_loop_gain": 1e5}
     design = board(*shape, lead).replace(array={"column_lead": 0.0}, readout=readout, adc={"bits": 12})
+    design = design.replace(cells=cells_between(120e3, 10e3))
     for resistance in (10e3, 120e3):
         cells, read = np.full(shape, resistance), CountReader(design)
         for _ in range(3):
