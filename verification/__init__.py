@@ -26,7 +26,6 @@ Which boards are looked at:
 :mod:`._readings`        targets of settled readings; :mod:`._scale`: the unit of their errors
 :mod:`._whole_board`     targets of whole boards: settling, scan rate, stability, operating point
 :mod:`._montecarlo`      random boards, and their yield
-:mod:`._estimate`        how long all of that takes
 :mod:`._explore`         variations, their trade-off, and what would mend a requirement
 :mod:`._assumptions`     what a verdict leaves out
 :mod:`._tuning`          effort of searches and samples: all tuned numbers, with what sets them

@@ -237,12 +237,14 @@ class Searched:
     detail: Callable[[DesignUnderTest, Requirement, WorstCase, Measurement], Measurement] | None = None
     """adds what only this quantity has to say about its worst case"""
 
-    def __call__(self, dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+    def __call__(
+        self, dut: DesignUnderTest, requirement: Requirement, method: str, boards: FloatArray | None = None
+    ) -> Measurement:
         target, share = self.target(dut, requirement), judged_by(requirement)
         if isinstance(target, Measurement):
             return target
         if method == SAMPLED:
-            return self._yield(target, dut, requirement, share)
+            return self._yield(sampled(dut, target, share) if boards is None else boards, dut, requirement)
         parts: Parts = "nominal" if method == NOMINAL else "aged"
         found = worst_of(dut, target, parts, share=share)
         line = f"{self.line(found.box, found.cell)}; " if self.line else ""
@@ -254,10 +256,9 @@ class Searched:
             return result
         return replace(result, bounds=bounds_of(dut, target, self.show, share))
 
-    def _yield(self, target: Target, dut: DesignUnderTest, requirement: Requirement, share: bool | None) -> Measurement:
-        """How many boards keep the limits."""
-        values = sampled(dut, target, share)
-        unit = self.unit or sampler_of(dut, target, share).box.scale.unit
+    def _yield(self, values: FloatArray, dut: DesignUnderTest, requirement: Requirement) -> Measurement:
+        """How many boards (boards,) keep the limits."""
+        unit = self.unit or box_of(dut, share=judged_by(requirement)).scale.unit
         shown = np.array([self.show(float(value)) for value in values])
         low, high = requirement.min, requirement.max
         kept = np.isfinite(shown)

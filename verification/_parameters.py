@@ -161,15 +161,6 @@ class Factors:
         follows = self.values(other, factors) / nominal
         return (1.0 + result) / follows - 1.0 if key == RATIOMETRIC else result * follows
 
-    def slopes(self, key: str) -> FloatArray:
-        """(L, F) derivatives of one part by the factors, about their centre."""
-        own = self.matrix[key]
-        if key not in self.tied:
-            return own
-        other, nominal = self.tied[key]
-        follows: FloatArray = self.matrix[other] / nominal
-        return own - follows if key == RATIOMETRIC else own + self.centre[key][:, None] * follows
-
     def population(self, factors: FloatArray) -> Population:
         """The boards of factors (S, F)."""
         parts = {}

@@ -33,9 +33,8 @@ ZOOMS, MOST_LINES = 3, 6
 """of a line search to the neighbours of the best point, a third of the step each; line searches one after the other"""
 LEAST_RISE = 1e-5
 """relative, of a line search; less does not show in four digits"""
-USUAL_ROUNDS, USUAL_LINES, USUAL_BY_GRADIENT, USUAL_STARTS = 2.0, 1.5, 12, 26
-"""how often a search climbs and goes along lines, points that a climb by derivatives solves, and starts of targets of
-whole boards: for the expected time only, which is known to a factor of two or three"""
+DIFFERENCE = 1e-3
+"""of the way from a nominal value to its end: a derivative is then rounded to 1e-9 of a reading, and curved by 1e-6"""
 STARTS_AT_RANDOM = 12
 """random corners among the starts of targets of whole boards"""
 MOST_LONGEST_FRAMES, SAME_FRAME_TIME = 4, 1e-3
@@ -53,8 +52,6 @@ CELLS_TOGETHER = 1 << 20
 """cells that are read in one call: arrays of 8 MB"""
 ENTRIES_TOGETHER = 1 << 17
 """entries of the matrices of boards in time that are solved in one call"""
-TIMED_CELLS, TIMED_FEWEST, TIMED_MOST = 20_000, 4, 64
-"""cells that are solved to time a point, and points that are timed together at least and at most"""
 
 # -- random boards (_montecarlo.py) -----------------------------------------------------------------------------------
 
