@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from ..common import plots
 from ..common.arrays import FloatArray
 from ..errors import InputError
 from ._claim import statement
-from ._dut import DesignUnderTest, once
+from ._dut import DesignUnderTest
 from ._outcome import Check, Finding, Table
 from ._pictures import curves, picture, pressures
 from ._pressures import one_cell_read
@@ -301,40 +300,36 @@ def inverse_filter(dut: DesignUnderTest) -> Finding:
     )
 
 
-@dataclass(frozen=True)
-class _Press:
-    """One press of P9 as the readout has it."""
-
-    time_s: FloatArray
-    pressure: FloatArray
-    true_ohm: FloatArray
-    read_ohm: FloatArray
-    estimates: dict[str, FloatArray]
-    lost: float
-    """share of readings beyond the converter's range, or of outputs at a limit"""
-
-
 @statement(
     *("P9", "One step and three steps", "V.A, Figs. 10, 11"),
     "The estimate follows the applied stress for a 15.5 kPa step, and for three in a row with creep.",
 )
 def steps(dut: DesignUnderTest) -> Finding:
-    found = _presses(dut)
-    limit = dut.design.requirements.pressure_rmse_percent
-    checks = []
-    for title, press in found.items():
-        checks.append(Check(f"{title}: readings lost to a limit", 100 * press.lost, 0.0, "%"))
-        for label, kpa in press.estimates.items():
-            error = rmse(kpa, press.pressure, dut)
+    presses = {
+        "one step": ([(5.0, STEP_KPA, 20.0)], 90.0),
+        "three steps": ([(5.0 + 25.0 * k, STEP_KPA, 12.0) for k in range(3)], 110.0),
+    }
+    limit, checks, shown = dut.design.requirements.pressure_rmse_percent, [], {}
+    for title, (profile, duration) in presses.items():
+        time_s, pressure = pressed(profile, duration)
+        true_ohm = respond(dut.cell, time_s, pressure)
+        read_ohm, lost = one_cell_read(dut, true_ohm)
+        zero = float(np.median(read_ohm[time_s < 4.0]))  # R0 as a user has it: read at rest, by the same readout
+        estimates = side_by_side(dut, time_s, read_ohm, zero)
+        shown[title] = time_s, pressure, true_ohm, read_ohm, estimates
+        checks.append(Check(f"{title}: readings lost to a limit", 100 * lost, 0.0, "%"))
+        for label, kpa in estimates.items():
+            error = rmse(kpa, pressure, dut)
             checks.append(Check(f"{title}, {label}: RMSE", error, limit, "% of full scale"))
-            peak = 100 * float(np.abs(kpa - press.pressure).max()) / dut.full_scale_kpa
+            peak = 100 * float(np.abs(kpa - pressure).max()) / dut.full_scale_kpa
             checks.append(Check(f"{title}, {label}: peak error", peak, 8 * limit, "% of full scale"))
 
     def draw(panels: Any) -> None:
-        for (top, below), (title, press) in zip(panels.T, found.items(), strict=True):
-            top.plot(press.time_s, press.true_ohm / 1e3, color=plots.INK, lw=4, alpha=0.25, label="cell")
-            curves(top, press.time_s, {"as read": press.read_ohm / 1e3}, title=title, ylabel="resistance / kΩ")
-            pressures(below, press.time_s, press.pressure, press.estimates)
+        for (top, below), (title, press) in zip(panels.T, shown.items(), strict=True):
+            time_s, pressure, true_ohm, read_ohm, estimates = press
+            top.plot(time_s, true_ohm / 1e3, color=plots.INK, lw=4, alpha=0.25, label="cell")
+            curves(top, time_s, {"as read": read_ohm / 1e3}, title=title, ylabel="resistance / kΩ")
+            pressures(below, time_s, pressure, estimates)
 
     caption = "One press of 15.5 kPa (Fig. 10) and three in a row with creep (Fig. 11)."
     return Finding(
@@ -348,21 +343,6 @@ def steps(dut: DesignUnderTest) -> Finding:
         ],
         figures=picture(caption, draw, 2, 2, height=4.6, sharex="col"),
     )
-
-
-def _presses(dut: DesignUnderTest) -> dict[str, _Press]:
-    presses = {
-        "one step": ([(5.0, STEP_KPA, 20.0)], 90.0),
-        "three steps": ([(5.0 + 25.0 * k, STEP_KPA, 12.0) for k in range(3)], 110.0),
-    }
-    found = {}
-    for title, (profile, duration) in presses.items():
-        time_s, pressure = pressed(profile, duration)
-        true_ohm = respond(dut.cell, time_s, pressure)
-        read_ohm, lost = one_cell_read(dut, true_ohm)
-        zero = float(np.median(read_ohm[time_s < 4.0]))  # R0 as a user has it: read at rest, by the same readout
-        found[title] = _Press(time_s, pressure, true_ohm, read_ohm, side_by_side(dut, time_s, read_ohm, zero), lost)
-    return found
 
 
 def _paper_model(dut: DesignUnderTest) -> PaperModel:
@@ -406,27 +386,12 @@ def respond(cell: Cell, time_s: FloatArray, pressure: FloatArray, rest: FloatArr
 def side_by_side(
     dut: DesignUnderTest, time_s: FloatArray, ohms: FloatArray, rest: float | None = None
 ) -> dict[str, FloatArray]:
-    """kPa (samples,) by label, from a reading of the design's cell; ``rest`` replaces R0.
-
-    Several experiments look at the same press, whose estimates are worked out once.
-    """
-    return dict(_side_by_side(dut, tuple(time_s.tolist()), tuple(ohms.tolist()), rest))
-
-
-@once
-def _side_by_side(
-    dut: DesignUnderTest, time_s: tuple[float, ...], ohms: tuple[float, ...], rest: float | None
-) -> dict[str, FloatArray]:
-    times, readings = np.array(time_s), np.array(ohms)
+    """kPa (samples,) by label, from a reading of the design's cell; ``rest`` replaces R0."""
+    estimators = {PAPERS: (dut.cell, "paper"), f"ours ({dut.ours})": (dut.calibrated, dut.ours)}
     return {
-        PAPERS: estimate(dut.cell, "paper", times, readings, rest),
-        f"ours ({dut.ours})": estimate(dut.calibrated, dut.ours, times, readings, rest),
+        label: estimate_recording(cell.estimator((), name, rest_resistance_ohm=rest), time_s, ohms)[0]
+        for label, (cell, name) in estimators.items()
     }
-
-
-def estimate(cell: Cell, name: str, time_s: FloatArray, ohms: FloatArray, rest: float | None = None) -> FloatArray:
-    """kPa (samples,) of one cell."""
-    return estimate_recording(cell.estimator((), name, rest_resistance_ohm=rest), time_s, ohms)[0]
 
 
 def rmse(estimate: FloatArray, truth: FloatArray, dut: DesignUnderTest) -> float:
