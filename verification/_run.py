@@ -223,13 +223,13 @@ def _compute(
     def take(answer: tuple[Task, Any]) -> None:
         task, value = answer
         found[task.key] = value
-        progress(len(found), total, task.what)
         if isinstance(value, Result | Claim):
             tell(value)
 
     def computed(answer: tuple[Task, Any]) -> None:
         memory.save(*answer)
         take(answer)
+        progress(len(found), total, answer[0].what)
 
     def run(tasks: Iterable[Task]) -> None:
         left = []

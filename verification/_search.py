@@ -370,7 +370,7 @@ class _Search:
             active = np.flatnonzero(~settled)
             if not len(active):
                 break
-            for some in np.array_split(active, -(-len(active) * self.box.size**2 // (1 << 22))):
+            for some in np.array_split(active, min(-(-len(active) * self.box.size**2 // (1 << 22)), len(active))):
                 trial, best = self._moved_together(corners.some(some), values[some], exact=exact)
                 better = best > values[some] + LEAST_GAIN * np.abs(values[some])
                 corners.x[some[better]], values[some[better]] = trial[better], best[better]
