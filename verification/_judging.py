@@ -24,7 +24,7 @@ from ._readings import Excursion, ReadingErrorTarget
 from ._record import BoundsRecord, CornerRecord
 from ._scale import Scale
 from ._search import Target, WorstCase, worst_case
-from ._tuning import MOST_CELLS_BY_PART, MOST_LONGEST_FRAMES, SAME_FRAME_TIME
+from ._tuning import FEW, LEAST_RISE, MOST_CELLS_BY_PART
 from ._units import engineering
 from ._whole_board import MOST_SECONDS, FrameTimeTarget
 
@@ -110,10 +110,10 @@ def _longest_frame(dut: DesignUnderTest, target: FrameTimeTarget, parts: Parts, 
     starts = target.starts(box)
     times = target.evaluate(box, starts)
     longest, corner = float(times.max()), starts.some(np.array([int(times.argmax())]))
-    for _ in range(MOST_LONGEST_FRAMES):
+    for _ in range(FEW):
         found = worst_of(dut, target.at(box, min(max(longest, LEAST_SI), MOST_SECONDS)), parts)
         time = float(target.evaluate(box, found.corner)[0])
-        if np.isinf(longest) or time <= longest * (1.0 + SAME_FRAME_TIME):
+        if np.isinf(longest) or time <= longest * (1.0 + LEAST_RISE):
             break
         longest, corner = time, found.corner
     return replace(found, target=target, corner=corner, value=longest)

@@ -16,10 +16,9 @@ from ._claim import statement
 from ._dut import DesignUnderTest
 from ._outcome import Check, Finding, Table
 from ._pictures import curves, picture, pressures
-from ._pressures import one_cell_read
+from ._pressures import FASTEST_HZ, one_cell_read
 
 STEP_KPA = 15.5  # 10.0 N on one square inch (V.A)
-RATE_HZ = 50.0
 EDGE_S = 0.1  # time in which a press is applied and released
 SETTLED_S = 1e-6  # time before the first sample in which the first pressure is applied
 PAPERS = "the paper's"
@@ -365,8 +364,8 @@ def _release(dut: DesignUnderTest) -> tuple[FloatArray, FloatArray]:
 
 
 def pressed(presses: list[tuple[float, float, float]], duration_s: float) -> tuple[FloatArray, FloatArray]:
-    """Presses (start s, kPa, length s) as samples at RATE_HZ."""
-    time_s = np.arange(0.0, duration_s, 1 / RATE_HZ)
+    """Presses (start s, kPa, length s) as samples at FASTEST_HZ."""
+    time_s = np.arange(0.0, duration_s, 1 / FASTEST_HZ)
     pressure = np.zeros_like(time_s)
     for start, kpa, length in presses:
         corners = [start, start + EDGE_S, start + length, start + length + EDGE_S]

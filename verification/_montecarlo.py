@@ -22,7 +22,7 @@ from ..common.arrays import FloatArray, IntArray
 from ._box import Box, Corners
 from ._readings import ReadingTarget, named_corners
 from ._search import Target, WorstCase
-from ._tuning import BLOCK, FOUND, FOUND_WHOLE, MOST_BESIDE, MOST_BOARDS, MOST_TRIES, ROOM, TOGETHER
+from ._tuning import BLOCK, FEW, MOST_BOARDS, MOST_TRIES, ROOM, WORK
 
 CONFIDENCE = 0.95
 
@@ -34,7 +34,7 @@ def blocks(samples: int) -> int:
 
 def blocks_beside(target: Target, box: Box, tries: int, samples: int) -> int:
     """Blocks of boards that are judged beside a worst case: as many as are drawn, fewer of large arrays."""
-    return min(blocks(samples), max(1, int(MOST_BESIDE / (BLOCK * tries * target.cost(box)))))
+    return min(blocks(samples), max(1, int(WORK / (BLOCK * tries * target.cost(box)))))
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Sampler:
             patterns = others.x[:, pressed]
             _, first = np.unique(np.sign(patterns), axis=0, return_index=True)
             nothing = np.zeros(0)
-            some = others.some(np.sort(first)[:FOUND_WHOLE])
+            some = others.some(np.sort(first)[: FEW // 2])
             return cls(target, box, some, others.some(slice(0, 0)), nothing, np.zeros((0, parts + cells)))
         fixed, slopes = [], []
         named = named_corners(target, box)
@@ -76,7 +76,7 @@ class Sampler:
         return cls(
             target,
             box,
-            others.some(np.sort(first)[:FOUND]),
+            others.some(np.sort(first)[:FEW]),
             Corners.joined([one.corners for one in named]),
             np.concatenate(fixed),
             np.concatenate(slopes),
@@ -85,7 +85,7 @@ class Sampler:
     @property
     def tries(self) -> int:
         """Points that a board takes at least."""
-        return len(self.found) + (TOGETHER if len(self.named) else 0)
+        return len(self.found) + (FEW if len(self.named) else 0)
 
     def block(self, seed: int, block: int) -> FloatArray:
         """The largest value (boards,) of the target over all cells and presses, of one block of boards."""
@@ -98,10 +98,10 @@ class Sampler:
         own = np.tile(np.arange(len(self.found)), (len(boards), 1))
         best: FloatArray = self._solved(boards, self.found, own).max(axis=1)
         promised = self.fixed + boards @ self.slopes.T
-        count = min(TOGETHER * MOST_TRIES, promised.shape[1])
+        count = min(FEW * MOST_TRIES, promised.shape[1])
         order = np.argsort(-promised, axis=1, kind="stable")[:, :count]
-        for first in range(0, count, TOGETHER):
-            chosen = order[:, first : first + TOGETHER]
+        for first in range(0, count, FEW):
+            chosen = order[:, first : first + FEW]
             next_value = np.take_along_axis(promised, chosen[:, :1], axis=1)[:, 0]
             open_ones = np.isfinite(best)
             worth = np.where(open_ones, best, 0.0) * (1.0 - ROOM)

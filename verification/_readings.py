@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from ..circuits import Design, ideal_volts, read_together, scan, scan_population, sensitivity
+from ..circuits import Design, at_ideal_converter, ideal_volts, read_together, scan, scan_population, sensitivity
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._box import Box, Corners
 from ._search import Target, most_solved
@@ -67,18 +67,6 @@ def law_of(box: Box, row: IntArray, column: IntArray) -> Law:
         return found
 
     return ohms
-
-
-def converted(design: Design, volts: FloatArray, converter: FloatArray) -> FloatArray:
-    """V at an ideal converter for the errors (..., 3) of the real one; as in :func:`ohmskin.circuits.adc_codes`."""
-    adc = design.adc
-    if adc is None:
-        return volts
-    offset, slope, bow = np.moveaxis(converter, -1, 0)
-    above = (volts - adc.range[0]) * (1.0 + slope) + offset
-    share = np.clip(above / (adc.range[1] - adc.range[0]), 0.0, 1.0)
-    shifted: FloatArray = adc.range[0] + above + bow * adc.step * 4.0 * share * (1.0 - share)
-    return shifted
 
 
 def clipped(design: Design, volts: FloatArray) -> BoolArray:
@@ -202,7 +190,7 @@ def _frame(
 ) -> Frame:
     """The judged readings of outputs (C, N, M)."""
     own = (np.arange(len(corners)), corners.row, corners.column)
-    volts = converted(box.design, output[own], converter)
+    volts = at_ideal_converter(box.design, output[own], converter)
     return Frame(output[own], volts, cells[own], limited(box, volts, saturated[own]))
 
 
@@ -283,7 +271,7 @@ def _linearised(box: Box, factors: FloatArray, cells: FloatArray) -> _Linear:
     by_cell = sensitivity(population.boards.design(box.design, 0), cells).cells
     each = np.broadcast_to(cells, (len(moves), *cells.shape))
     output = scan_population(box.design, population.boards, each, resolve_saturation=False).volts
-    volts = converted(box.design, output, population.converter[:, None, None])
+    volts = at_ideal_converter(box.design, output, population.converter[:, None, None])
     by_factor = np.moveaxis(volts[1 : count + 1] - volts[count + 1 :], 0, -1) / (2.0 * DIFFERENCE)
     return _Linear(output[0], volts[0], by_factor, by_cell)
 

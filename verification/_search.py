@@ -33,22 +33,20 @@ from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._box import Box, Corners
 from ._parameters import TEMPERATURE
 from ._tuning import (
-    FEWEST_CLIMBS,
+    FEW,
     FIRST_ORDER_BEYOND,
-    LEAST_GAIN,
     LEAST_RISE,
     LEAST_SOLVED,
     LINE_POINTS,
     LINE_POINTS_IN_TIME,
-    MOST_CLIMB_WORK,
     MOST_FLIPS,
     MOST_LINES,
     MOST_NEAR,
     MOST_ROUNDS,
     MOST_UNKNOWNS,
-    RANDOM_CELLS,
     RANDOM_CORNERS,
-    WITHOUT_INFLUENCE,
+    ROUNDING,
+    WORK,
     ZOOMS,
 )
 
@@ -206,7 +204,7 @@ class WorstCase:
         """The worst value with each kind of part over its tolerance alone, the others nominal; presses are free."""
         box, names = self.box, [factor.key for factor in self.box.factors.factors]
         of_cells = ["cells.rest_resistance"] if box.cell_spread else []
-        starts = Corners.joined([self.corner, self.others.some(slice(0, FEWEST_CLIMBS))])
+        starts = Corners.joined([self.corner, self.others.some(slice(0, FEW))])
         values = {}
         for kind in ["nominal parts", *dict.fromkeys(names), *of_cells]:
             free = np.ones(box.size, dtype=np.bool_)
@@ -233,7 +231,7 @@ def worst_case(target: Target, box: Box, starts: Sequence[Corners] = ()) -> Wors
     search = _Search(target, box)
     search.solve(Corners.joined([target.starts(box), *starts]))
     random = np.random.default_rng(0)
-    worst = search.worst(2 * RANDOM_CELLS if target.by_cell else 1)
+    worst = search.worst(2 * FEW if target.by_cell else 1)
     search.solve(worst.at(random.choice([-1.0, 1.0], (len(worst), RANDOM_CORNERS, box.size))))
     return search.finished()
 
@@ -252,8 +250,8 @@ class _Search:
         flips = max(int(self.free.sum()), 1) * target.cost(box)
         self.exact = flips <= MOST_FLIPS
         self.lines = box.lines() & self.free
-        most = 64 if target.by_cell else FEWEST_CLIMBS
-        self.climbs = int(np.clip(MOST_CLIMB_WORK // (3 * flips), 2 * FEWEST_CLIMBS if target.by_cell else 1, most))
+        most = 64 if target.by_cell else FEW
+        self.climbs = int(np.clip(WORK // (3 * flips), 2 * FEW if target.by_cell else 1, most))
 
     def solve(self, corners: Corners) -> FloatArray:
         """Solve corners and keep them; returns their values."""
@@ -318,7 +316,7 @@ class _Search:
             solved=self.solved,
             settled=settled,
             flips_solved=self.exact,
-            others=known.some(order[: 32 * FEWEST_CLIMBS]),
+            others=known.some(order[: 32 * FEW]),
         )
 
     def _elsewhere(self, climbed: _Climbed) -> Corners:
@@ -344,7 +342,7 @@ class _Search:
         x = np.repeat(corner.x, parts, axis=0)
         each = np.arange(parts)
         x[each, each] = np.where(x[each, each] > 0, -1.0, 1.0)
-        small = WITHOUT_INFLUENCE * max(abs(value), 1e-12)
+        small = ROUNDING * max(abs(value), 1e-12)
         without = np.abs(self.evaluate(corner.at(x[None])) - value) <= small
         plainer = corner.x.copy()
         plainer[0, :parts] = np.where(without, 0.0, plainer[0, :parts])
@@ -372,7 +370,7 @@ class _Search:
                 break
             for some in np.array_split(active, min(-(-len(active) * self.box.size**2 // (1 << 22)), len(active))):
                 trial, best = self._moved_together(corners.some(some), values[some], exact=exact)
-                better = best > values[some] + LEAST_GAIN * np.abs(values[some])
+                better = best > values[some] + ROUNDING * np.abs(values[some])
                 corners.x[some[better]], values[some[better]] = trial[better], best[better]
                 settled[some] = ~better | np.isinf(best)
         return _Climbed(corners, values, settled)
@@ -380,7 +378,7 @@ class _Search:
     def _moved_together(self, corners: Corners, values: FloatArray, *, exact: bool) -> tuple[FloatArray, FloatArray]:
         """The best of each corner with its 1, 2, 4, ... most promising moves; coordinates (C, D) and values (C,)."""
         row, moves, gains = self._gains(corners, values, exact=exact)
-        helpful = gains > LEAST_GAIN * np.abs(values[row])
+        helpful = gains > ROUNDING * np.abs(values[row])
         owner, trials = [], []
         for number, corner in enumerate(corners.x):
             mine = np.flatnonzero(helpful & (row == number))

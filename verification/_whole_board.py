@@ -28,7 +28,7 @@ from ..circuits import (
 from ..common.arrays import FloatArray
 from ._box import Box, Corners
 from ._search import Target
-from ._tuning import ENTRIES_TOGETHER, PERIODS, STARTS_AT_RANDOM
+from ._tuning import ENTRIES_TOGETHER, PERIODS, RANDOM_CORNERS
 
 MOST_SECONDS = 1.0
 """of a frame that never settles"""
@@ -67,8 +67,8 @@ class WholeBoardTarget(Target):
         patterns += [(row == 0) & (column == 0)]
         pressed = np.array([side for pattern in patterns for side in (pattern, 1 - np.asarray(pattern))], dtype=float)
         random = np.random.default_rng(1)
-        x = np.zeros((len(pressed) + STARTS_AT_RANDOM, box.size))
-        x[len(pressed) :] = random.choice([-1.0, 1.0], (STARTS_AT_RANDOM, box.size))
+        x = np.zeros((len(pressed) + RANDOM_CORNERS, box.size))
+        x[len(pressed) :] = random.choice([-1.0, 1.0], (RANDOM_CORNERS, box.size))
         box.split(x)[1][: len(pressed)] = 2.0 * pressed - 1.0
         return Corners.of_boards(x)
 
