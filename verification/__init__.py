@@ -31,11 +31,10 @@ Which boards are looked at:
 :mod:`._tuning`          effort of searches and samples: all tuned numbers, with what sets them
 =======================  ==============================================================================
 
-The paper's claims (:mod:`._claims`):
+The paper's claims (:mod:`._claim`):
 
 =======================  ==============================================================================
-:mod:`._mixture`         P1
-:mod:`._material`        P2 to P9
+:mod:`._material`        P1 to P9
 :mod:`._crosstalk`       P10 to P13
 :mod:`._whole_skin`      P14
 =======================  ==============================================================================

@@ -12,6 +12,7 @@ processes, the order in which blocks are done, or an interruption in between.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
 from math import inf
 
@@ -142,10 +143,5 @@ def boards_needed(wanted: float, share: float) -> int | None:
     def proves(count: int) -> bool:
         return proportion_bounds(math.floor(share * count + 1e-9), count)[0] >= wanted
 
-    if share <= wanted or not proves(MOST_BOARDS):
-        return None
-    low, high = 0, MOST_BOARDS
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if proves(middle) else (middle, high)
-    return high
+    count = bisect_left(range(MOST_BOARDS + 1), True, key=proves) if share > wanted else MOST_BOARDS + 1
+    return count if count <= MOST_BOARDS else None

@@ -32,9 +32,11 @@ from ..common.tables import write_text
 from ..common.workers import in_processes
 from ..driver import Skin
 from ..errors import InputError, OhmskinError
+from . import _crosstalk as crosstalk
+from . import _material as material
+from . import _whole_skin as skin
 from ._catalogue import CATALOGUE
 from ._claim import Statement
-from ._claims import STATEMENTS
 from ._dut import SAMPLES, SEED, DesignUnderTest, everything_of
 from ._judging import Searched, block_of, judged_by
 from ._montecarlo import blocks
@@ -56,6 +58,13 @@ from ._tuning import BLOCK
 NO_PORT = ("emulated", "firmware")
 ON_TARGET = ("P14",)
 """claims that talk to the target of the run"""
+STATEMENTS = (
+    *(material.fraction, material.electrodes, material.strain, material.rising, material.recovery),
+    *(material.identification, material.recovery_times, material.inverse_filter, material.steps),
+    *(crosstalk.slicing, crosstalk.grid_resistance, crosstalk.equation_10, crosstalk.crosstalk),
+    skin.whole_skin,
+)
+"""the paper's claims P1 to P14, in their order"""
 MOST_KNOWN = 4
 """runs whose intermediate results a process keeps"""
 
