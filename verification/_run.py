@@ -65,8 +65,6 @@ STATEMENTS = (
     skin.whole_skin,
 )
 """the paper's claims P1 to P14, in their order"""
-MOST_KNOWN = 4
-"""runs whose intermediate results a process keeps"""
 
 
 def prototype() -> Design:
@@ -286,12 +284,12 @@ def _on_board(dut: DesignUnderTest, task: Task) -> bool:
 
 
 _known: dict[str, DesignUnderTest] = {}
-"""In each process: the design under test with the intermediate results that earlier tasks have left."""
+"""In each process: the design of the latest run, with the intermediate results that earlier tasks have left."""
 
 
 def _do(work: Work, task: Task) -> tuple[Task, Any]:
     """One task, in whatever process."""
-    if len(_known) > MOST_KNOWN:  # a long-lived worker serves many runs
+    if work.fingerprint not in _known:
         _known.clear()
     dut = _known.setdefault(work.fingerprint, work.dut)
     match task.item:

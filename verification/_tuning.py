@@ -43,8 +43,6 @@ PERIODS = 16.0
 """what the shortest period of a board costs, over one period of it: some thirty periods of one solution are tried"""
 CELLS_TOGETHER = 1 << 20
 """cells that are read in one call: arrays of 8 MB"""
-ENTRIES_TOGETHER = 1 << 17
-"""entries of the matrices of boards in time that are solved in one call"""
 
 # -- random boards (_montecarlo.py) -----------------------------------------------------------------------------------
 

@@ -25,10 +25,10 @@ from ..circuits import (
     read_together,
     stability_of_boards,
 )
-from ..common.arrays import FloatArray
+from ..common.arrays import IN_CACHE, FloatArray
 from ._box import Box, Corners
 from ._search import Target
-from ._tuning import ENTRIES_TOGETHER, PERIODS, RANDOM_CORNERS
+from ._tuning import PERIODS, RANDOM_CORNERS
 
 MOST_SECONDS = 1.0
 """of a frame that never settles"""
@@ -93,7 +93,7 @@ class InTimeTarget(WholeBoardTarget):
         """(B, N, M) as :meth:`values`, of boards with cells (B, N, M) in ohm."""
 
     def values(self, box: Box, x: FloatArray) -> FloatArray:
-        size = max(1, int(self.periods * ENTRIES_TOGETHER / self.cost(box)))
+        size = max(1, int(self.periods * IN_CACHE / self.cost(box)))
         parts = []
         for first in range(0, len(x), size):
             some = x[first : first + size]
