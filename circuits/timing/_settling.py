@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import ComplexArray, FloatArray
+from ...common.arrays import IN_CACHE, ComplexArray, FloatArray
 from ...errors import InputError, SolverError
 from .._design import Design
 from .._population import Boards
@@ -136,8 +136,6 @@ _RANGE = 1e-9, 10.0
 """of the gain-bandwidth: where an amplifier still has all of its gain, and where it has none left"""
 _AROUND = np.geomspace(0.2, 3.0, 31)
 """multiples of the crossover at which a peak is looked for"""
-_TOGETHER = 1 << 18
-"""matrix entries of equations that are solved in one call"""
 _NEAR = 0.1  # of the limit; between two steps of a quarter of a radian a deviation rises by less than this
 _GOLDEN = 0.6180339887498949
 _CROSSING = 1e-9  # of a period or of the logarithm of a frequency, to which a crossing is known
@@ -381,7 +379,7 @@ class _Loops(NamedTuple):
         """
         found = np.empty(omega.shape, dtype=np.complex128)
         columns = np.arange(omega.shape[1])
-        size = max(1, _TOGETHER // len(columns) ** 3)
+        size = max(1, IN_CACHE // len(columns) ** 3)
         for first in range(0, len(omega), size):
             network, feedback, slack, speed, line, across = (part[first : first + size, None] for part in self)
             s = 1j * omega[first : first + size, :, None]
