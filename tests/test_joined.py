@@ -41,7 +41,7 @@ def part(first_column: int, **more: Any) -> Scene:
 
 
 def played(tmp_path: Path, *scenes: Scene) -> list[Path]:
-    """Recordings of the boards over the same time, on a clock of their own: no load of this machine is in them."""
+    """Recordings of the boards over the same second, on a clock of their own: no load of this machine is in them."""
     files = [tmp_path / f"skin-{k}.mcap" for k in range(1, len(scenes) + 1)]
     for one, file in zip(scenes, files, strict=True):
         board, period_s = Board(one, seed=1), 1.0 / one.board.frame_rate
