@@ -494,6 +494,9 @@ class TestWhatIsSaid:
                 skin.read(0.0)
 
 
+SECONDS = "; expected a number, in s"
+
+
 class TestNumbers:
     @pytest.mark.parametrize(
         ("options", "message"),
@@ -513,27 +516,16 @@ class TestNumbers:
             Skin(port, **options)
         assert port.closed
 
-    @pytest.mark.parametrize("age", [0.0, float("nan"), "x", None])
-    def test_no_frame_can_be_so_young(self, age: Any) -> None:
-        with Skin(described(frame(0))) as skin, pytest.raises(InputError, match=r"max_age is .*; expected"):
-            skin.latest(max_age=age)
-
-    def test_a_wait_is_a_number_of_seconds(self) -> None:
-        with Skin(described(frame(0))) as skin:
-            for wrong in (float("nan"), "3", []):
-                with pytest.raises(InputError, match=r"timeout is .*; expected a number, in s"):
-                    skin.read(wrong)  # type: ignore[arg-type]
-                with pytest.raises(InputError, match=r"timeout is .*; expected a number, in s"):
-                    skin.latest(0.1, timeout=wrong)  # type: ignore[arg-type]
-
-    @pytest.mark.parametrize("frames", [0, 2.5, "20", True])
-    def test_a_tare_takes_a_whole_number_of_frames(self, frames: Any) -> None:
-        with Skin(described(frame(0))) as skin, pytest.raises(InputError, match="expected a whole number"):
-            skin.tare(frames)
-
     @pytest.mark.parametrize(
         ("call", "message"),
         [
+            *(
+                (lambda skin, age=age: skin.latest(max_age=age), "max_age is ")
+                for age in (0.0, float("nan"), "x", None)
+            ),
+            *((lambda skin, wait=wait: skin.read(wait), SECONDS) for wait in (float("nan"), "3", [])),
+            *((lambda skin, wait=wait: skin.latest(0.1, timeout=wait), SECONDS) for wait in (float("nan"), "3", [])),
+            *((lambda skin, count=count: skin.tare(count), "a whole number") for count in (0, 2.5, "20", True)),
             (lambda skin: skin.on_frame(3), "callback is 3; expected a function"),
             (lambda skin: skin.on_bytes(None), "tap is None; expected a function"),
             (lambda skin: skin.request("start"), "order is 'start'; expected an ohmskin.wire.Order"),

@@ -274,47 +274,6 @@ def test_a_movie_of_resistance_may_be_a_table(tmp_path: Path) -> None:
     np.testing.assert_allclose(ohms[:, 2, 1], 6e3)
 
 
-def nested(depth: int) -> dict[str, Any]:
-    """Tables within tables."""
-    tables: dict[str, Any] = {}
-    for _ in range(depth):
-        tables = {"a": tables}
-    return tables
-
-
-@pytest.mark.parametrize(
-    ("tables", "message"),
-    [
-        ({"board": {"frame_rate": 1e-320}}, "board.frame_rate"),
-        ({"contact": [{"disc": {"center": [0, 0], "radius_cells": 1e308}, "load_kpa": [[0.0, 1.0]]}]}, "radius_cells"),
-        ({"contact": [{"disc": {"radius_cells": 1.0}, "load_kpa": [[0.0, 1.0]]}]}, "needs center or center_mm"),
-        ({"contact": [{"point": {"center": [0, 0]}, "path_mm": [[0, 0, 0]], "load_kpa": [[0.0, 1.0]]}]}, "not both"),
-        ({"contact": [{"cells": [[0, 0]], "path_mm": [[0, 0, 0]], "load_kpa": [[0.0, 1.0]]}]}, "stay where they are"),
-        ({"contact": [{"point": {"center": [0, 0]}}]}, "one load of load_kpa, force_n, sine, taps, recorded; got none"),
-        ({"contact": [{"cells": [[0, 0]], "recorded": {"file": "no.csv"}}]}, "no.csv: cannot be read"),
-        (
-            {"contact": [{"image": {"file": "no.gif", "center": [0, 0], "size_mm": [1, 1]}, "load_kpa": [[0, 1]]}]},
-            "'.gif'",
-        ),
-        ({"event": [{"at_s": 1.0, "kind": "open-cell"}]}, "needs a place"),
-        ({"event": [{"at_s": 1.0, "kind": "open-cell", "place": [3, 0]}]}, "event[0].place: [3, 0] lies outside"),
-        ({"event": [{"at_s": 1.0, "kind": "open-cel", "place": [1, 0]}]}, "event[0].kind"),
-        ({"event": [{"at_s": 1.0, "until_s": 0.5, "kind": "open-cell", "place": [1, 0]}]}, "is not after"),
-        ({"event": [{"at_s": 1.0, "kind": "supply-sag", "place": [1, 0], "share": 0.5}]}, "has no key 'place'"),
-        ({"event": [{"at_s": 1.0, "kind": "bridged-rows", "place": [2, 0]}]}, "event[0]"),
-        ({"movie": {"file": "no.npz"}}, "no.npz: cannot be read: No such file"),
-        ({"skin": {"design": DESIGN, "drift": {"temperature_change_c": 1e3}}}, "a million times"),
-        ({"skin": {"design": DESIGN, "drift": {"temperature_change_c": [[0, 0], [9, 1e3]]}}}, "a million times"),
-        ({"contact": [nested(3000)]}, "nested too deeply"),
-    ],
-)
-def test_a_scene_that_cannot_be_is_refused_in_one_line(tables: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError) as caught:
-        scene(**tables)
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
 def test_a_picture_that_is_none_is_refused_in_one_line(tmp_path: Path) -> None:
     for name, content, message in (
         ("p.npy", b"nonsense", "is no picture (.npy): the file is no array"),

@@ -64,6 +64,15 @@ def test_feedback_without_leads() -> None:
     np.testing.assert_allclose(read_by_ngspice(design, cells), scan(design, cells).volts, rtol=1e-7)
 
 
+@pytest.mark.parametrize("ohm", [500.0, inf])
+@pytest.mark.parametrize("kind", ["broken-row", "broken-column"])
+def test_a_broken_line_without_segments_is_two_nodes(kind: str, ohm: float) -> None:
+    fault = {"kind": kind, "place": [1, 2]} | ({"resistance": ohm} if ohm < inf else {})
+    design = Design.model_validate(amplifier(3, 4, lead=20.0).model_dump() | {"fault": [fault]})
+    cells = 10 ** np.random.default_rng(4).uniform(3, 4, (3, 4))
+    np.testing.assert_allclose(read_by_ngspice(design, cells), reference_volts(design, cells), rtol=1e-7)
+
+
 def test_the_text_names_the_faults() -> None:
     fault = {"kind": "bridged-columns", "place": [1, 0], "resistance": 12.5}
     design = Design.model_validate(amplifier(2, 2, lead=3.0, segment=1.0).model_dump() | {"fault": [fault]})
