@@ -105,7 +105,7 @@ def allowed_share(design: Design, cells: FloatArray, free: np.ndarray[Any, Any])
         for sign in (1.0, -1.0):
             moved = cells.copy()
             moved.flat[k] *= np.exp(sign * step)
-            ends.append(scan(design, moved, tolerance=1e-11).volts.ravel())
+            ends.append(scan(design, moved, tolerance=1e-9).volts.ravel())
         jacobian[:, k] = (ends[0] - ends[1]) / (2 * step)
     jacobian = jacobian[free.ravel()][:, free.ravel()]
     size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)

@@ -502,7 +502,7 @@ def answers(
                 direct_share += share_most
                 top_share = max(top_share, r * share_most)
                 most_share += share_most * (most_passed if share_most > 0.0 else least_passed)
-                if share > 0.0:
+                if share > 0.0 and not under_range[i, j]:
                     sums[1, j] = min(sums[1, j], max(cell_most[i, j] / (1.0 + r * cell_most[i, j]) - own, 0.0) / share)
             if most_share < 1.0 and most < math.inf:
                 sums[1, j] = min(sums[1, j], most / (1.0 - most_share))
