@@ -48,17 +48,6 @@ def test_unequal_parts(circuit: str, seed: int) -> None:
     assert_reads_as_the_reference(*real_design(seed, circuit=circuit))
 
 
-@pytest.mark.parametrize("idle_rows", ["ground", "float"])
-@pytest.mark.parametrize("idle_columns", ["float", "load"])
-def test_divider_with_line_resistance(idle_rows: str, idle_columns: str) -> None:
-    rng = np.random.default_rng(5)
-    for shape in [(1, 4), (4, 1), (4, 4)]:
-        design = divider(
-            *shape, idle_rows=idle_rows, idle_columns=idle_columns, row_lead=30.0, column_lead=7.0, row_segment=4.0
-        )
-        assert_reads_as_the_reference(design, 10 ** rng.uniform(2, 5, shape))
-
-
 @pytest.mark.parametrize("kind", ["open-cell", "broken-row", "broken-column"])
 @pytest.mark.parametrize("second", [50.0, np.inf])
 def test_faults_of_one_kind_at_one_place_are_in_series(kind: str, second: float) -> None:
