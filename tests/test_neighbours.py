@@ -186,17 +186,25 @@ def test_the_prior_has_the_moments_of_the_believed_neighbours(cells: list[tuple[
     assert variance == pytest.approx(load.var() + var.mean() + (0.5 * load.mean()) ** 2, abs=1e-12)
 
 
-@given(st.floats(0.0, 1.0), st.floats(0.01, 0.3), st.floats(0.0, 1.0), st.floats(0.01, 0.3), st.floats(0.01, 0.99))
-def test_a_fused_load_has_the_moments_of_the_posterior(
-    load: float, std: float, mean: float, spread: float, share: float
+@given(st.floats(0.0, 1.0), st.floats(0.01, 0.3), st.floats(0.0, 1.0), st.floats(0.01, 0.3), st.floats(0.0, 1.0))
+def test_a_fused_load_has_the_moments_of_the_mixture(
+    load: float, std: float, mean: float, spread: float, like: float
 ) -> None:
-    """Of a past that is normal, and a prior that is normal with probability ``share``, else says nothing."""
-
-    ends = min(load - 8 * std, mean - 8 * spread), max(load + 8 * std, mean + 8 * spread)
-    x = np.linspace(*ends, 20001)
-    density = norm.pdf(x, load, std) * (share * norm.pdf(x, mean, spread) + (1.0 - share))
-    density /= density.sum()
+    """Of what its past says, and of the product of that with what the neighbours tell."""
+    x = np.linspace(-2.5, 3.5, 20001)
+    of_both = norm.logpdf(x, load, std) + norm.logpdf(x, mean, spread)
+    past, both = norm.pdf(x, load, std), np.exp(of_both - of_both.max())
+    density = like * both / both.sum() + (1.0 - like) * past / past.sum()
     expected = density @ x
-    found, var = neighbours.fuse(load, std**2, mean, spread**2, 1.0, share)
+    found, var = neighbours.fuse(load, std**2, mean, spread**2, like)
     assert found == pytest.approx(expected, abs=1e-6)
     assert var == pytest.approx(density @ (x - expected) ** 2, abs=1e-6)
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.01, 0.3), st.floats(0.0, 1.0), st.floats(0.01, 0.3))
+def test_a_load_is_like_its_neighbours_by_bayes_rule(load: float, std: float, mean: float, spread: float) -> None:
+    """Against a load that is anywhere up to full scale; in any unit."""
+    density = 0.9 * norm.pdf(load, mean, np.hypot(std, spread))
+    expected = density / (density + 0.1)
+    assert neighbours.alike(load, std**2, mean, spread**2, 1.0, 0.1) == pytest.approx(expected)
+    assert neighbours.alike(7 * load, 49 * std**2, 7 * mean, 49 * spread**2, 7.0, 0.1) == pytest.approx(expected)

@@ -100,7 +100,8 @@ class Estimator:
             *(unit, unit, *inversion.credible, inversion.usual_level),
             *(inversion.remembers, inversion.filtered, follows_load, material.geq, material.gu, material.g3),
             *(full, UNKNOWN * full, 0.0 if follows_load else TUNING.floor * full),
-            *(conditions.model_std_kpa, conditions.rest_error, self.states_std, 0.0, TUNING.alone, TUNING.uneven),
+            *(conditions.model_std_kpa, conditions.rest_error, self.states_std, 0.0),
+            *(TUNING.alone, TUNING.sudden, TUNING.uneven),
         )
         self._steps = ByStep(_one_step, (material, tuning))
         self._cells, self._befores = zeros(Estimates, count), zeros(Estimates, count)

@@ -726,7 +726,7 @@ def step_each(
     beside: PlaceRows,
     told: Rows,
     uneven: float,
-    alone: float,
+    sudden: float,
     forget: float,
 ) -> None:
     """Take a frame of n cells; writes loads.
@@ -743,8 +743,8 @@ def step_each(
         sleeps: (n,) 1 where a cell may sleep.
         beside: (n, most) cells beside each; n: none.
         told: (3, n) scratch: loads that readings tell, for :mod:`._neighbours`.
-        uneven: see :class:`~._modes.Tuning`, as ``alone``.
-        alone: see ``uneven``.
+        uneven: see :class:`~._modes.Tuning`, as ``sudden``.
+        sudden: see ``uneven``.
         forget: share of the evidence for modes that is kept.
 
     """
@@ -778,7 +778,7 @@ def step_each(
             usual, about = prior(i, beside, told, uneven)
             if about >= 0.0:
                 odds += math.log(
-                    agreement(other, other_spread, usual, about, alone) / agreement(mean, spread, usual, about, alone)
+                    agreement(other, other_spread, usual, about, sudden) / agreement(mean, spread, usual, about, sudden)
                 )
             bad = 1.0 / (1.0 + math.exp(-odds))
             bad = bad * bad / (bad + TAIL)

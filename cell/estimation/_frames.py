@@ -73,6 +73,7 @@ class Settings(Record):
     """1: the measurement says which errors no average lessens; they are stated with the load"""
     alone: float
     """see :class:`._modes.Tuning`"""
+    sudden: float
     uneven: float
 
 
@@ -262,10 +263,9 @@ def take_frames(
         if clock.since_forgot_s >= FORGET_EVERY_S:
             forget = math.exp(-clock.since_forgot_s / t.forget_s)
             clock.since_forgot_s = 0.0
-        uneven, alone = settings.uneven, settings.alone
         step_each(
             *(cells, befores, watches, candidates, pools, trial, step, readings, sleeps),
-            *(beside, told, uneven, alone, forget),
+            *(beside, told, settings.uneven, settings.sudden, forget),
         )
         for i in range(rest_ohm.size):
             slept, sleeping = status[frame, i] & ASLEEP, watches[i].asleep > 0.0
@@ -333,7 +333,7 @@ def show_frames(
                 if shown[LIKE, i] == LOST:
                     usual, about = prior(i, beside, told, settings.uneven)
                     own, own_var = shown[0, i], shown[1, i] * shown[1, i]
-                    shown[LIKE, i] = alike(own, own_var, usual, about, full, 1.0 - settings.alone)
+                    shown[LIKE, i] = alike(own, own_var, usual, about, full, settings.alone)
         missing = False
         for i in range(cells):
             flags, state = status[frame, i], states[i]
@@ -372,7 +372,7 @@ def show_frames(
                 if shown[LIKE, i] != BELIEVES:
                     usual, about = prior(i, beside, told, settings.uneven)
                     if about >= 0.0 and not math.isnan(told[LOAD, i]):
-                        kpa, var = fuse(told[LOAD, i], told[VARIANCE, i], usual, about, full, shown[LIKE, i])
+                        kpa, var = fuse(told[LOAD, i], told[VARIANCE, i], usual, about, shown[LIKE, i])
                         shown[1, i] = math.sqrt(var)
                         pressure[frame, i], std[frame, i] = kpa, shown[1, i]
 

@@ -1,8 +1,8 @@
 """Neighbours as prior of a cell whose reading is missing or not believed (conditional autoregression; Besag 1974).
 
 A finger presses several cells. The loads of the cells beside one, whose readings are believed, therefore give its load
-a Gaussian prior: their mean, and their spread about it. Some contacts cover one cell alone, so that now and then the
-neighbours say nothing: the prior is a mixture with a share :data:`~.Tuning.alone` of a uniform density. It enters
+a Gaussian prior: their mean, and their spread about it. Now and then they say nothing, as some contacts cover one cell
+alone. The prior enters
 
 - as odds of a bad contact: a jump of a cell whose neighbours are untouched is a spark, beside pressed ones a press;
 - as evidence of a load that is not read, as far as the cell was like its neighbours when it was read last.
@@ -38,28 +38,26 @@ def prior(cell: int, beside: PlaceRows, told: Rows, uneven: float) -> tuple[floa
 
 
 @loop
-def agreement(load: float, variance: float, mean: float, spread: float, alone: float) -> float:
-    """Density of a load under its neighbours' prior, over the largest one."""
+def agreement(load: float, variance: float, mean: float, spread: float, sudden: float) -> float:
+    """Density of a load under its neighbours' prior, over the largest one: of Cauchy, as fingertips may be sharp."""
     off = load - mean
-    return alone + (1.0 - alone) / (1.0 + off * off / max(spread + variance, 1e-12))
+    return sudden + (1.0 - sudden) / (1.0 + off * off / max(spread + variance, 1e-12))
 
 
 @loop
-def alike(load: float, variance: float, mean: float, spread: float, full: float, share: float) -> float:
-    """Probability that a load of this mean and variance is one that its neighbours tell; ``share``: before."""
+def alike(load: float, variance: float, mean: float, spread: float, full: float, alone: float) -> float:
+    """Probability that a load of this mean and variance is one that its neighbours tell, and not any other one."""
     var, off = max(spread + variance, 1e-12), load - mean
-    density = math.exp(-0.5 * off * off / var) / math.sqrt(2.0 * math.pi * var)
-    return share * density / (share * density + (1.0 - share) / full)
+    density = (1.0 - alone) * full * math.exp(-0.5 * off * off / var) / math.sqrt(2.0 * math.pi * var)
+    return density / (density + alone)
 
 
 @loop
-def fuse(load: float, variance: float, mean: float, spread: float, full: float, share: float) -> tuple[float, float]:
-    """Mean and variance of a load by its past and its neighbours, who tell with probability ``share``."""
-    like = alike(load, variance, mean, spread, full, share)
+def fuse(load: float, variance: float, mean: float, spread: float, like: float) -> tuple[float, float]:
+    """Mean and variance of a load by its past, and with probability ``like`` by its neighbours, too."""
     part = variance / max(variance + spread, 1e-12)
-    off = like * part * (mean - load)
-    between = like * (1.0 - like) * (part * (mean - load)) ** 2
-    return load + off, like * part * spread + (1.0 - like) * variance + between
+    move = part * (mean - load)
+    return load + like * move, variance - like * part * variance + like * (1.0 - like) * move * move
 
 
 def beside_in(shape: tuple[int, ...]) -> IntArray:
