@@ -646,6 +646,16 @@ def test_a_cell_at_rest_sleeps_while_it_still_remembers_and_wakes_under_a_touch(
     assert np.abs(found / FULL_KPA - load)[time > 8.15].max() < 0.02
 
 
+@given(st.floats(2e-3, 0.1))
+@settings(max_examples=10)
+def test_a_sleeping_cell_follows_what_drifts_in_seconds_whatever_the_rate(dt_s: float) -> None:
+    """A lag of first order; a rest that wandered with a load would hide the load."""
+    watch, t = zeros(filters.Watch, 1)[0], step_of(dt_s)
+    for _ in range(round(filters.DRIFTS_S / dt_s)):
+        assert filters.rests(watch, t, 4e-4, 4e-4, 1e-6)
+    assert watch.offset == pytest.approx(4e-4 * (1.0 - math.exp(-1.0)), rel=0.05)
+
+
 def test_a_gap_widens_the_deviation_until_readings_come_back() -> None:
     load = 0.5 * np.interp(0.02 * np.arange(500), [1, 1.1], [0, 1])[:, None]
     ohm = CELL.forward((1,)).run(np.full(500, 0.02), load * FULL_KPA)
