@@ -405,6 +405,11 @@ def test_the_exponential_of_candidates_is_one(x: float) -> None:
     assert filters.decay(x) == pytest.approx(np.exp(x), rel=1e-12 if x > -40.0 else 1e-2)
 
 
+@given(st.floats(-8.0, 8.0))
+def test_the_normal_distribution_of_candidates_is_one(z: float) -> None:
+    assert filters.mass(z, math.exp(-0.5 * z * z)) == pytest.approx(norm.cdf(z), rel=2e-9)
+
+
 @given(st.floats(-3.0, 3.0), st.floats(0.02, 0.5))
 def test_a_bound_counts_once_however_often_it_is_felt(z: float, load: float) -> None:
     """What is expected within the bounds is all that there is: without a reading the likelihood is one."""
