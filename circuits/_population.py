@@ -25,16 +25,12 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from ..common.arrays import BoolArray, FloatArray, IntArray
+from ..common.arrays import IN_CACHE, BoolArray, FloatArray, IntArray
 from ..errors import InputError
 from ._design import Design
 from ._scan import scan
 from ._sections import PerLine
 from .readouts import EndParts, Ends, Terminated
-
-_TOGETHER = 1 << 14
-"""matrix entries per temporary array: few enough for the processor's cache"""
-
 
 _OF_ROW, _OF_COLUMN = {"section": "array", "lines": "rows"}, {"section": "array", "lines": "columns"}
 _OF_READOUT, _SHARED = {"section": "readout", "lines": "sensed"}, {"section": "readout", "lines": "board"}
@@ -188,7 +184,7 @@ def scan_population(
         low, high = design.readout.supply
         ours = boards.turned if board.turned else boards
         places = None if driven is None else board.shape[0] - 1 - driven if board.turned else driven
-        for some in _chunks(count, max(1, _TOGETHER // board.shape[1] ** 2)):
+        for some in _chunks(count, max(1, IN_CACHE // 8 // board.shape[1] ** 2)):
             line = None if places is None else places[some]
             frames = board.turn(cells if len(cells) == 1 else cells[some])
             with np.errstate(all="ignore"):  # boards with a NaN are solved again below

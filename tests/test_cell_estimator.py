@@ -297,6 +297,17 @@ def test_the_papers_estimator_inverts_the_papers_model_and_needs_its_threshold()
     assert np.abs(lost[110:] - FULL_KPA).max() > 0.3
 
 
+def test_the_papers_estimator_is_exact_at_every_turn() -> None:
+    """Where dr/dt is that of the frame: pressure and resistance are continuous where the model changes."""
+    model: Any = EXAMPLE.model
+    time = 0.02 * np.arange(400)
+    load = FULL_KPA * np.interp(time, [0.04, 2, 3.5, 5.5, 6.5, 8], [0, 0.5, 0.2, 0.8, 0.4, 0.9])
+    read = EXAMPLE.forward(()).run(np.full(time.size, 0.02), load)
+    assert exactly(EXAMPLE.replace(model=model.replace(derivative_s=0.0)), "paper", time, read) == pytest.approx(
+        load, abs=1e-8
+    )
+
+
 # -- states, copies, kernels --
 
 _NAMES = [("example", "static"), ("example", "paper"), ("example", "inverse"), ("contact", None)]
@@ -308,7 +319,7 @@ SAVED: dict[str, Callable[[Estimator], Estimator]] = {
 
 @pytest.mark.parametrize(("kind", "name"), _NAMES)
 def test_a_saved_state_goes_on(kind: str, name: str | None) -> None:
-    """To the last bit, through JSON, with gaps and in the middle of sparks; also as a copy and a pickle."""
+    """To the last bit, through JSON, with gaps and in the middle of bad contacts; also as a copy and a pickle."""
     cell = KINDS[kind]
     read, random = sensed(cell, presses(260), 1e-3), np.random.default_rng(3)
     read[128:132, ::2] *= 2.5
@@ -527,10 +538,10 @@ def test_a_bad_contact_of_a_calibrated_cell_is_over_when_it_is_over(name: str) -
     read = cell.rest_resistance_ohm * (1 + r) * (1 + 1e-3 * rng.standard_normal(len(time)))
     during = (np.abs(time[:, None] - [5.02, 11.02]) < 1.5 * dt).any(axis=1)
     assert np.count_nonzero(during) == 6
-    clean, sparked = cell.estimator((), name), cell.estimator((), name)
+    clean, disturbed = cell.estimator((), name), cell.estimator((), name)
     off = np.zeros(len(time))
     for n, ohm in enumerate(read):
-        off[n] = sparked.step(dt, 3.0 * ohm if during[n] else ohm) - clean.step(dt, ohm)
+        off[n] = disturbed.step(dt, 3.0 * ohm if during[n] else ohm) - clean.step(dt, ohm)
     assert np.abs(off[~during]).max() < 0.03 * FULL
 
 
