@@ -238,6 +238,16 @@ def test_current_from_idle_lines_above_a_poor_conductor_is_enclosed_with_the_oth
     assert sum(int(reading.valid.sum()) for reading in readings) >= 4 * rest.size
 
 
+def test_readings_below_the_range_do_not_bound_what_their_columns_conduct() -> None:
+    """Shorts beside which an offset drives outputs below zero: their row's other cells read 40 times too high."""
+    parts = {"reference_resistance": 20e3, "offset_voltage": -2e-3, "open_loop_gain": 300.0}
+    design = follower(5, 7, 0.5, bits=24, array={"column_lead": 0.0}, readout=parts, cells=cells_between(150e3, 15e3))
+    rest = 150e3 * np.exp(np.random.default_rng(58).uniform(-0.3, 0.3, (5, 7)))
+    shorted = rest.copy()
+    shorted[2, 0], shorted[3, 0], shorted[3, 3] = 0.8, 0.04, 0.02
+    assert follow(design, [rest] * 2 + [shorted] * 3)[0].valid.all()
+
+
 @pytest.mark.parametrize("bits", [8, 16])
 def test_an_open_cell_behind_heavy_leads_is_not_valid(bits: int) -> None:
     """What passes beside the cell was taken for its own current, of which the cell's own share is far less."""

@@ -32,7 +32,7 @@ from ._law_kernels import LEAST, answers
 
 MOST_WIRE = 2.0
 """resistance of a cell's lines over its own from which on it reads like a short"""
-_STANDS_OUT = 5.0  # port conductance over the usual one of its column, from which on a short may be behind it
+_STANDS_OUT = 10.0  # port conductance over the usual one of its column, from which on a short may be behind it
 _FEW = 3  # rows, below which the usual one is that of all cells
 _CONTACT = 0.01  # ohm, of a cell of which nothing is declared: contacts of metals have as much
 ONE = 3.0
