@@ -62,9 +62,9 @@ from ._usual_fits import (
     state_fitted,
 )
 
-STEPS, FIRST_STEPS = 5, 60
+STEPS, FIRST_STEPS = 6, 60
 """evaluations of the model in one frame, and in the first one of all"""
-RENEWALS, FIRST_RENEWALS = 2, 20
+RENEWALS, FIRST_RENEWALS = 3, 20
 """new derivatives in one frame, and in the first one of all"""
 LARGEST_MATRIX = 4096
 """cells up to which a matrix of all readings by all cells is made: 0.3 GB"""
@@ -76,6 +76,8 @@ _FITS, _MISFIT = 0.8, 8.0  # half steps: by rounding alone, and from which on no
 _NEAR = 0.04  # change of the shares, over the largest one that derivatives serve, for which new ones are alike
 _SLOW = 0.2  # length of a step over the one before, above which derivatives are to blame
 _GAINS = 0.01  # share of the squared misfit by which a step has to lessen it
+_PROGRESS = 0.7  # misfit at the end of a frame over that at its beginning, above which steps lead nowhere
+_STUCK = 1e5  # damping from which on they have come to their end
 _DAMPED, _MORE_DAMPED = 10.0, 30.0  # first damping where it does not, and times it after further such steps
 _JUMP = 20.0  # half steps from which on closed formulas may be a nearer start
 _LEAST = 1e-18  # S: a cell's resistance has to be a number
@@ -198,7 +200,8 @@ class FitLive:
         self._read: FloatArray = np.ones(cells)
         self._pinned: FloatArray = np.zeros(cells)
         self._wide = False
-        self._damping, self._astray, self._in_vain, self._begun = 0.0, False, 0, False
+        self._damping, self._gains = 0.0, True
+        self._astray, self._in_vain, self._begun = False, 0, False
         self._still = False
         self.usual: Callable[[Readings], Measurement | None] | None = None
         self._calm = 0
@@ -291,7 +294,7 @@ class FitLive:
 
         One cell, or those behind a break, go through points at equal distances of the share; between these the others
         may be beyond them by an eighth of their second differences. Several go through the corners of their intervals.
-        Infinite where the others do not follow.
+        Where steps do not end, as many again count.
         """
         cells, begun_by = np.flatnonzero(unread), self._linear
         most = np.zeros(len(conductance))
@@ -322,10 +325,8 @@ class FitLive:
                 there[cells] = held
                 if length < _BESIDE_STEP:
                     break
-            else:
-                # Beyond what the readings allow, the others are farther off than anywhere within.
-                if self._misfit((volts - self._at(there)) * self._read, coarser) <= _MISFIT:
-                    return np.full(len(conductance), inf)
+            else:  # some are hardly determined, or this is beyond what the readings allow
+                step *= _BESIDE_STEPS
             path.append(begun_by.shares(there))
             most = np.maximum(most, np.abs(path[-1] - begun) + np.abs(step))
         if on_path:
@@ -374,17 +375,19 @@ class FitLive:
         if start is not None:
             starts.insert(0, np.clip(start.ravel(), _LEAST, self._most))
         if self._conductance is not None:
-            starts.insert(0, self._conductance)
+            starts.insert(0 if self._gains else len(starts), self._conductance)
         starts = [np.where(pinned, self._pinned, each) for each in starts]
+        if not self._gains:
+            self._damping, self._linear = 0.0, None
         here = starts[0]
         apart = off(here)
         misfit = self._misfit(apart, coarser)
-        for other in starts[1:] if not misfit <= _JUMP else ():
+        for other in starts[1:] if self._gains and not misfit <= _JUMP else ():
             steps -= 1
             if not misfit <= self._misfit(off(other), coarser):
                 here, apart = other, off(other)
                 misfit = self._misfit(apart, coarser)
-        settled, before, begun, left = False, inf, self._linear, np.zeros(len(here))
+        settled, before, begun, left, at_first = False, inf, self._linear, np.zeros(len(here)), misfit
         try:
             while np.isfinite(misfit):
                 linear = self._linear
@@ -424,12 +427,14 @@ class FitLive:
         except np.linalg.LinAlgError:
             self._conductance = self._linear = None
             return None
-        self._still = settled
+        self._still = settled or self._damping > _STUCK
         # Where readings hardly tell, steps need not end: what they have left is part of the uncertainty.
-        settled = (settled or misfit <= _FITS) and misfit <= NO_FIT and self._linear is not None
+        ended, settled = settled, (settled or misfit <= _FITS) and misfit <= NO_FIT and self._linear is not None
         if self._sheet is not None and settled:
             settled = self._follow_sheet(here, coarser)
         self._conductance, self._astray = here, not settled
+        # Cells from which steps lead nowhere are left for those of the closed formulas, from which they mostly do.
+        self._gains = settled or not self._gains or misfit < _PROGRESS * at_first
         self._calm = self._calm + 1 if settled and self._linear is begun else 0
         self._in_vain = self._in_vain + 1 if not misfit <= _MISFIT else 0
         if self._in_vain > _OFTEN:
@@ -437,9 +442,9 @@ class FitLive:
                 self._conductance = None
             # Cells of a few ohm tie lines to each other: then other cells, far from these, may give the readings.
             ties = not self._read.all() or float(here.max()) * _TIE * float(self._board.reference.min()) > 1.0
-            if self._in_vain > 3 * _OFTEN and not ties:
+            if self._still and self._in_vain > 3 * _OFTEN and not ties:
                 raise SolverError(_NO_CELLS)
-        return (here, misfit, np.zeros(len(left)) if self._still else left) if settled else None
+        return (here, misfit, np.zeros(len(left)) if ended else left) if settled else None
 
     def _follow_sheet(self, conductance: FloatArray, coarser: float) -> bool:
         """Solve the continuous sheet anew if its cells have moved; False: the fit goes on in the next frame."""
