@@ -75,13 +75,13 @@ _ALIKE_ERRORS = 20.0  # inverse of the relative change of the readings' errors u
 _FITS, _MISFIT = 0.8, 8.0  # half steps: by rounding alone, and from which on no cells give these readings
 _NEAR = 0.04  # change of the shares, over the largest one that derivatives serve, for which new ones are alike
 _SLOW = 0.2  # length of a step over the one before, above which derivatives are to blame
-_GAINS = 0.01  # share of the squared misfit by which a step has to lessen it
 _PROGRESS = 0.7  # misfit at the end of a frame over that at its beginning, above which steps lead nowhere
-_STUCK = 1e5  # damping from which on they have come to their end
-_DAMPED, _MORE_DAMPED = 10.0, 30.0  # first damping where it does not, and times it after further such steps
+_SHORTER, _LONGER = 0.2, 3.0  # limit of a step over one that leads away, and over the limit of one that does not
+_STUCK = 1e-9  # limit below which they have come to their end
+_MORE_DAMPING, _MOST_DAMPING = 10.0, 1e3  # times the damping until a step is short enough; most over the largest root
 _JUMP = 20.0  # half steps from which on closed formulas may be a nearer start
 _LEAST = 1e-18  # S: a cell's resistance has to be a number
-_AS_SHORT = 1e3  # wires of a cell over its own resistance, from which on no reading tells it from a short
+_AS_SHORT, _SHORT = 1e5, 1e6  # wires of a cell over its own resistance, and S, from which on it is as good as a short
 _TIE = 0.02  # cell over the reference resistor, below which it ties lines to each other
 _NO_CELLS = "no cell resistances give these readings; check that the design is that of the board"
 _MOST_UNREAD = 3  # cells whose intervals are gone through, corner by corner
@@ -107,7 +107,7 @@ class _Linear(NamedTuple):
     behind: FloatArray
     """(n,) ohm, that each cell sees of its lines"""
     solve: Callable[[FloatArray, float], FloatArray]
-    """from readings (n,) in V to changes (n,) of the shares, which a damping shortens (Levenberg 1944)"""
+    """from readings (n,) in V to changes (n,) of the shares, damped if they are longer than a limit (Levenberg 1944)"""
     std_at: Callable[[float], FloatArray]
     """(n,) standard deviations of the shares, by errors of the readings so many times those of ADC steps"""
     beyond_at: Callable[[float], FloatArray]
@@ -187,7 +187,7 @@ class FitLive:
         self._short, self._full = np.where(self._gone, inf, ideal), most  # V, of a short with and without leads
         at_ends = np.abs(board.circuit.ideal_volts(board, board.row_ohms[:, :1] + board.column_lead) - board.level)
         self._beyond = np.where(self._gone | board.circuit.virtual_ground, inf, at_ends)  # V, no cells read more
-        most = _AS_SHORT / (self._leads + LEAST_SHORT_OHM)
+        most = np.minimum(_AS_SHORT / (self._leads + LEAST_SHORT_OHM), _SHORT)
         if least_ohm:
             most = np.where(self._hidden, 1.0 / least_ohm, most)
         self._most = most.ravel()
@@ -200,7 +200,7 @@ class FitLive:
         self._read: FloatArray = np.ones(cells)
         self._pinned: FloatArray = np.zeros(cells)
         self._wide = False
-        self._damping, self._gains = 0.0, True
+        self._longest, self._gains = inf, True
         self._astray, self._in_vain, self._begun = False, 0, False
         self._still = False
         self.usual: Callable[[Readings], Measurement | None] | None = None
@@ -313,7 +313,7 @@ class FitLive:
             there, before, step = there.copy(), inf, begun
             there[cells] = held
             for _ in range(_BESIDE_STEPS):
-                step = linear.solve((volts - self._at(there)) * self._read, 0.0)
+                step = linear.solve((volts - self._at(there)) * self._read, inf)
                 length = float(np.abs(step).max())
                 if not length <= _BESIDE_SLOW * before:
                     try:
@@ -378,7 +378,7 @@ class FitLive:
             starts.insert(0 if self._gains else len(starts), self._conductance)
         starts = [np.where(pinned, self._pinned, each) for each in starts]
         if not self._gains:
-            self._damping, self._linear = 0.0, None
+            self._longest, self._linear = inf, None
         here = starts[0]
         apart = off(here)
         misfit = self._misfit(apart, coarser)
@@ -397,29 +397,28 @@ class FitLive:
                         break
                     self._linear = linear = self._renewed(here, coarser)
                     renewals, change = renewals - 1, 0.0
-                step, damping = linear.solve(apart, self._damping), self._damping
+                step = linear.solve(apart, self._longest)
                 step[pinned] = 0.0
-                left = np.abs(step)
-                settled = damping == 0.0 and bool((left <= np.maximum(SETTLED * linear.std(coarser), SMALL)).all())
+                left, length = np.abs(step), float(np.abs(step).max())
+                enough = np.maximum(SETTLED * linear.std(coarser), SMALL)
+                settled = length < self._longest and bool((left <= enough).all())
                 if settled:
                     break
-                length = float(left.max())
                 if length > _SLOW * before and change > _NEAR and renewals:
                     self._linear, before = None, inf
                     continue
-                while True:
+                trial = linear.moved(here, step, self._most)
+                ahead, steps = off(trial), steps - 1
+                while not ahead @ ahead < apart @ apart and steps > 0 and not (change > _NEAR and renewals):
+                    self._longest = _SHORTER * float(np.abs(step).max())
+                    step = linear.solve(apart, self._longest)
+                    step[pinned] = 0.0
                     trial = linear.moved(here, step, self._most)
                     ahead, steps = off(trial), steps - 1
-                    closer = ahead @ ahead < (1.0 - _GAINS) * (apart @ apart)
-                    if closer or steps <= 0 or (change > _NEAR and renewals):
-                        break
-                    self._damping = max(_MORE_DAMPED * self._damping, _DAMPED)
-                    step = linear.solve(apart, self._damping)
-                    step[pinned] = 0.0
-                if closer:
+                if ahead @ ahead < apart @ apart:
                     here, apart, before = trial, ahead, length
                     misfit = self._misfit(apart, coarser)
-                    self._damping = self._damping / _MORE_DAMPED if self._damping > _DAMPED else 0.0
+                    self._longest = self._longest * _LONGER if self._longest < 1.0 else inf
                 elif change > _NEAR and renewals:
                     self._linear, before = None, inf
                 if steps <= 0:
@@ -427,7 +426,7 @@ class FitLive:
         except np.linalg.LinAlgError:
             self._conductance = self._linear = None
             return None
-        self._still = settled or self._damping > _STUCK
+        self._still = settled or self._longest < _STUCK
         # Where readings hardly tell, steps need not end: what they have left is part of the uncertainty.
         ended, settled = settled, (settled or misfit <= _FITS) and misfit <= NO_FIT and self._linear is not None
         if self._sheet is not None and settled:
@@ -477,9 +476,12 @@ class FitLive:
         jacobian = self._jacobian(cells, per_share)
         roots, axes = _axes(jacobian)
 
-        def solve(apart: FloatArray, damping: float) -> FloatArray:
-            by_axes = (axes.T @ (jacobian.T @ (apart / self._std))) / (roots + WITHIN * (1.0 + damping))
-            step: FloatArray = axes @ by_axes
+        def solve(apart: FloatArray, longest: float) -> FloatArray:
+            along, damping = axes.T @ (jacobian.T @ (apart / self._std)), WITHIN
+            step: FloatArray = axes @ (along / (roots + damping))
+            while not float(np.abs(step).max()) <= longest and damping < _MOST_DAMPING * roots[-1]:
+                damping *= _MORE_DAMPING
+                step = axes @ (along / (roots + damping))
             return step
 
         def std_at(coarser: float) -> FloatArray:

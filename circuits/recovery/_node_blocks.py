@@ -24,7 +24,7 @@ import numpy as np
 
 from ...common.arrays import FloatArray
 from .._board import Board, broken_off
-from ._law_kernels import BY_STEPS
+from ._law_kernels import BY_STEPS, TINY
 from ._port_derivatives import PortDerivatives
 from ._quick_model import QuickModel
 
@@ -143,8 +143,8 @@ class NodeStep:
         image += WITHIN * change
         return image
 
-    def solve(self, volts: FloatArray, damping: float) -> FloatArray:
-        """Change (n,) of the shares for a difference (n,) of the readings in V, shortened by a damping."""
+    def solve(self, volts: FloatArray, longest: float) -> FloatArray:
+        """Change (n,) of the shares for a difference (n,) of the readings in V, shortened to a limit."""
         apart = volts.reshape(self._scale.shape) / self._noise
         residual = self._scale * self._derivatives.transposed_times(apart)
         direction = preconditioned = self._preconditioned(residual)
@@ -160,7 +160,7 @@ class NodeStep:
             preconditioned = self._preconditioned(residual)
             before, gain = gain, float(np.vdot(residual, preconditioned))
             direction = preconditioned + (gain / before) * direction
-        flat: FloatArray = change.ravel() / (1.0 + damping)
+        flat: FloatArray = change.ravel() * min(1.0, longest / max(float(np.abs(change).max()), TINY))
         return flat
 
 
