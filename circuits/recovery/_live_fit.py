@@ -90,6 +90,7 @@ _BESIDE_STEPS, _BESIDE_STEP = 10, 0.003  # steps to the others beside it, and ch
 _BESIDE_SLOW = 0.5  # of a step's length over the one before, above which derivatives are made anew
 _SWING = 0.07  # of a share, up to which derivatives hold
 _MOST_AXES = 6  # of the covariance along which the model is asked
+_SLOWEST = 0.9  # such ratio from which on they do not end
 _AXIS_STEPS = 2  # back to the readings by derivatives; the ratio of their lengths tells what is left
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
 _CONTRACTS = 0.5  # factor of a map that surely has one fixed point, with room for derivatives that change
@@ -138,10 +139,10 @@ class _Linear(NamedTuple):
         changes_of.unchecked(conductance, self.share, self.behind, std, by)
         return by
 
-    def moved(self, conductance: FloatArray, step: FloatArray, most: FloatArray) -> FloatArray:
+    def moved(self, conductance: FloatArray, step: FloatArray, coarser: float, most: FloatArray) -> FloatArray:
         """(n,) S, cells whose shares have changed by a ``step``; at most ``most``."""
         there = np.empty(len(step))
-        moved_by.unchecked(conductance, step, self.behind, most, there)
+        moved_by.unchecked(conductance, step, self.behind, self.std(coarser), most, there)
         return there
 
     def shares(self, conductance: FloatArray) -> FloatArray:
@@ -321,7 +322,7 @@ class FitLive:
                     except np.linalg.LinAlgError:
                         return np.full(len(conductance), inf)
                     continue
-                there, before = linear.moved(there, step, self._most), length
+                there, before = linear.moved(there, step, coarser, self._most), length
                 there[cells] = held
                 if length < _BESIDE_STEP:
                     break
@@ -407,13 +408,13 @@ class FitLive:
                 if length > _SLOW * before and change > _NEAR and renewals:
                     self._linear, before = None, inf
                     continue
-                trial = linear.moved(here, step, self._most)
+                trial = linear.moved(here, step, coarser, self._most)
                 ahead, steps = off(trial), steps - 1
                 while not ahead @ ahead < apart @ apart and steps > 0 and not (change > _NEAR and renewals):
                     self._longest = _SHORTER * float(np.abs(step).max())
                     step = linear.solve(apart, self._longest)
                     step[pinned] = 0.0
-                    trial = linear.moved(here, step, self._most)
+                    trial = linear.moved(here, step, coarser, self._most)
                     ahead, steps = off(trial), steps - 1
                 if ahead @ ahead < apart @ apart:
                     here, apart, before = trial, ahead, length
@@ -505,8 +506,7 @@ class FitLive:
         """Changes (n,) of the shares by what derivatives leave out, along the longest axes of their covariance.
 
         The readings at both ends of an axis, as far as no cell falls below nothing, differ from those by the derivatives
-        (n, n), and the cells follow these differences. Axes are independent, so that squares add up. Infinite where
-        steps by the derivatives do not lead back.
+        (n, n), and the cells follow these differences. Axes are independent, so that squares add up.
         """
         swing, std, conductance = (
             BY_STEPS / np.sqrt(roots / coarser**2 + WITHIN),
@@ -522,7 +522,7 @@ class FitLive:
             volts = self._at(conductance) if volts is None else volts
             most = np.zeros(len(std))
             for side in (1.0, -1.0):
-                there = linear.moved(conductance, side * along, self._most)
+                there = linear.moved(conductance, side * along, coarser, self._most)
                 there = np.maximum(there, np.minimum(conductance, _LEAST))
                 read = volts + jacobian @ (linear.shares(there) - linear.share) * self._std
                 lengths, total = [0.0, 0.0], np.zeros(len(std))
@@ -531,13 +531,10 @@ class FitLive:
                     apart = (read - self._at(there)) * self._read / self._std
                     step = axes @ ((axes.T @ (jacobian.T @ apart)) / (roots + WITHIN * coarser**2))
                     lengths[number] = float(np.abs(step).max())
-                    there, total = linear.moved(there, step, self._most), total + np.abs(step)
+                    there, total = linear.moved(there, step, coarser, self._most), total + np.abs(step)
                 slower = lengths[1] / max(lengths[0], TINY)
-                if slower < 1.0:
-                    total += np.abs(step) * slower / (1.0 - slower)
-                elif not (np.abs(step) <= SETTLED * std).all():
-                    return np.full(len(std), inf)
-                most = np.maximum(most, total)
+                further = slower / (1.0 - slower) if slower < _SLOWEST else _BESIDE_STEPS
+                most = np.maximum(most, total + further * np.abs(step))
             squares += most**2
         return np.sqrt(squares)
 

@@ -37,8 +37,10 @@ SHORT_SHARE = 0.98
 """of the reading of a short, from which on a cell may be one"""
 FAR, FAR_ERRORS, LEAST_FAR = 0.4, 3.0, 0.02
 """change for which derivatives no longer serve: of a logarithm, in standard deviations of a share, and of a share"""
-NEARER, BELOW_NOTHING, FIRST_HALF = 0.8, -0.2, 0.9
-"""largest part of the way to a short in one step, least share, and largest one in a step from the first half"""
+NEARER, FIRST_HALF = 0.8, 0.9
+"""largest part of the way to a short in one step, and largest share after a step from the first half"""
+FAR_BELOW, MOST_BELOW = 5.0, 0.2
+"""how far a share may be below nothing, in standard deviations, and as a share"""
 LEAST_CELL = 1e-18
 """S: a cell's resistance has to be a number"""
 STEPS = 3  # evaluations of the model in a frame
@@ -128,11 +130,14 @@ def fitted_volts(
 
 
 @loop
-def moved(conductance: float, step: float, behind: float, most: float) -> float:
-    """S of a cell whose share changes by a ``step``, as far as it leads neither to a short nor far below nothing."""
+def moved(conductance: float, step: float, behind: float, std: float, most: float) -> float:
+    """S of a cell whose share changes by a ``step``, as far as it leads neither to a short nor far below nothing.
+
+    A share of nothing is read with the standard deviation ``std``.
+    """
     share = conductance * behind / (1.0 + conductance * behind)
     greatest = FIRST_HALF if share <= 0.5 else share + NEARER * (1.0 - share)
-    share = min(max(share + step, BELOW_NOTHING), greatest)
+    share = min(max(share + step, -min(FAR_BELOW * std, MOST_BELOW)), greatest)
     there = min(share / ((1.0 - share) * behind), most)
     return there if abs(there) > LEAST_CELL else LEAST_CELL
 
@@ -153,10 +158,12 @@ def shares_of(conductance: FixedRow, behind: FixedRow, shares: Row) -> None:
 
 
 @loop
-def moved_by(conductance: FixedRow, steps: FixedRow, behind: FixedRow, most: FixedRow, there: Row) -> None:
+def moved_by(
+    conductance: FixedRow, steps: FixedRow, behind: FixedRow, std: FixedRow, most: FixedRow, there: Row
+) -> None:
     """Write :func:`moved` of each cell (n,)."""
     for place in range(len(there)):
-        there[place] = moved(conductance[place], steps[place], behind[place], most[place])
+        there[place] = moved(conductance[place], steps[place], behind[place], std[place], most[place])
 
 
 @loop
@@ -243,7 +250,8 @@ def measure_fitted(
             return False
         for i in range(rows):
             for j in range(columns):
-                cells[i, j] = moved(cells[i, j], step[i * columns + j], behind[i, j], highest[i, j])
+                place = i * columns + j
+                cells[i, j] = moved(cells[i, j], step[place], behind[i, j], spread[place], highest[i, j])
         if not fitted_volts(cells, of_rows, of_columns, drive, alone, *work, model):
             return False
     misfit = max(math.sqrt(squares / count), 0.5 * most) / board.half / coarser
@@ -261,7 +269,7 @@ def measure_fitted(
             above = volts[i, j] - level - of_columns[REST, j]
             slope = above * (1.0 - above / of_columns[GAIN, j] * of_columns[SPAN, j])
             per_volt[i, j] = abs(1.0 / slope) if slope != 0.0 else math.inf
-            cells[i, j] = moved(cells[i, j], step[i * columns + j], behind[i, j], highest[i, j])
+            cells[i, j] = moved(cells[i, j], step[i * columns + j], behind[i, j], std[i, j], highest[i, j])
     found = cells, of_cells[MADE_AT], behind, std, of_cells[BEYOND], per_volt, misfit
     flags = nowhere, nowhere, nowhere
     state_fitted(volts, level, *found, of_cells[SHORT], *flags, converter, boards, surely, usual, noise, block, reason)
