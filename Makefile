@@ -58,7 +58,7 @@ lint: $(VENV)/dev.stamp
 
 # What `make demo` and `make test` install: versions and hashes, of all platforms and Pythons that pyproject.toml allows,
 # and of what builds ohmskin itself. Versions stay as they are where pyproject.toml still allows them;
-# `make lock UPGRADE=--upgrade` takes the newest. tests/test_locks.py tells a lock that is not current.
+# `make lock UPGRADE=--upgrade` takes the newest. tests/test_wheel.py tells a lock that is not current.
 LOCKS := locks/dev.txt locks/demo.txt
 lock: $(VENV)/dev.stamp
 	$(call compile,dev,dev)

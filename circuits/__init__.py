@@ -3,7 +3,7 @@
 ``scan(Design.load("design.toml"), resistance)`` reads one frame.
 """
 
-from ._adc import adc_codes, adc_error, clipped, volts_of_codes
+from ._adc import adc_codes, adc_error, at_ideal_converter, clipped, volts_of_codes
 from ._amplifier_model import AmplifierModel
 from ._board import Board
 from ._design import Design
@@ -96,6 +96,7 @@ __all__ = [
     "adc_codes",
     "adc_error",
     "apparent_resistance",
+    "at_ideal_converter",
     "clipped",
     "conditioning",
     "effects",

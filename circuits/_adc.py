@@ -26,21 +26,32 @@ def adc_codes(design: Converts, volts: FloatArray) -> CodeArray:
     data sheet gives only its largest value.
     """
     adc = _adc(design)
-    return np.clip(np.floor(_steps(adc, volts)), 0, 2.0**adc.bits - 1).astype(np.uint32)
+    errors = np.array([adc.offset_voltage, adc.gain_error, adc.inl_steps])
+    return np.clip(np.floor(_steps(adc, volts, errors)), 0, 2.0**adc.bits - 1).astype(np.uint32)
 
 
-def _steps(adc: Adc, volts: FloatArray) -> FloatArray:
-    """Inputs in steps above the lower end of the range, shifted by the converter's offset, gain error and nonlinearity.
-
-    The code is the integer part, clipped to the range.
-    """
+def _steps(adc: Adc, volts: FloatArray, errors: FloatArray) -> FloatArray:
+    """Inputs in steps above the lower end of the range, shifted by the errors: the code is the integer part."""
+    offset, slope, bow = np.moveaxis(errors, -1, 0)
     steps = (np.asarray(volts, dtype=np.float64) - adc.range[0]) / adc.step
-    if adc.gain_error or adc.offset_voltage:
-        steps = steps * (1.0 + adc.gain_error) + adc.offset_voltage / adc.step
-    if adc.inl_steps:
+    if errors.any():
+        steps = steps * (1.0 + slope) + offset / adc.step
         share = np.clip(steps / 2.0**adc.bits, 0.0, 1.0)
-        steps = steps + adc.inl_steps * 4.0 * share * (1.0 - share)
+        steps = steps + bow * 4.0 * share * (1.0 - share)
     return steps
+
+
+def at_ideal_converter(design: Converts, volts: FloatArray, errors: FloatArray) -> FloatArray:
+    """Volts of which an ideal converter makes the codes that one with these errors makes of ``volts``.
+
+    Args:
+        design: one without a converter has no errors.
+        volts: of any shape.
+        errors: (..., 3) offset in V, relative error of the slope, and integral nonlinearity in steps; broadcast.
+    """
+    if design.adc is None:
+        return volts
+    return design.adc.range[0] + design.adc.step * _steps(design.adc, volts, errors)
 
 
 def volts_of_codes(design: Converts, codes: NDArray[np.integer]) -> FloatArray:

@@ -20,7 +20,7 @@ from ._parts import Parts
 from ._readout import Readout
 from ._sections import Adc, Array, Drive, Fault, PerLine, Sheet
 from .ends import GROUND, LINE, OUT, REF, Card, ColumnEnd, Crosspoint, LineEnds, Network, Reference, RowEnd, amplifier
-from .readouts import CIRCUITS, DESCRIBED, DESCRIBED_INVERTING, LinearReadout, ReadoutCircuit
+from .readouts import CIRCUITS, LinearReadout, ReadoutCircuit, networks
 
 
 class Sections(Protocol):
@@ -167,15 +167,15 @@ def _with_networks(board: Board, design: Sections, *, by_nodes: bool) -> Board:
         multiplexed=False,
         line_ends=ends,
         described=columns,
-        circuit=DESCRIBED,
     )
-    swing = float(np.mean(DESCRIBED.alone(described).gain))
+    circuit = networks(described, inverts=False)
+    swing = float(np.mean(circuit.alone(described).gain))
     reference = np.full(board.shape[1], abs(swing / drive)) if columns is None else np.abs(columns.slope)
     return replace(
         described,
-        level=float(DESCRIBED.at_rest(described).flat[0]),
+        level=float(circuit.at_rest(described).flat[0]),
         reference=reference,
-        circuit=DESCRIBED if (swing > 0) == (drive > 0) else DESCRIBED_INVERTING,
+        circuit=networks(described, inverts=(swing > 0) != (drive > 0)),
     )
 
 

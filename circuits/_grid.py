@@ -8,9 +8,7 @@ from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..errors import SolverError
 from . import _sheet as sheet
 from ._board import Board
-from .solvers import Element, Network, Rounded, port_conductances, reduce, siemens
-
-_SHORT = 1e-60  # ohm; resistances up to this count as ideal wires, see :func:`.solvers.siemens`
+from .solvers import LEAST_OHM, Element, Network, Rounded, port_conductances, reduce, siemens
 
 
 def exact_ports(board: Board, cells: FloatArray) -> Rounded:
@@ -102,7 +100,7 @@ def refuse_contradictions(board: Board, cells: FloatArray) -> BoolArray | None:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    if cells.min() > _SHORT and not any(fault.ohms <= _SHORT for fault in board.faults):
+    if cells.min() > LEAST_OHM and not any(fault.ohms <= LEAST_OHM for fault in board.faults):
         return None
     row, column = np.isinf(board.lines.row), np.isinf(board.lines.column)
     rows, columns = board.lines.row.shape
@@ -118,7 +116,7 @@ def refuse_contradictions(board: Board, cells: FloatArray) -> BoolArray | None:
     ]
     shorted = np.isinf(board.cell_conductance(cells)).any(axis=tuple(range(cells.ndim - 2)))
     for fault in board.bridges:
-        if fault.ohms <= _SHORT:
+        if fault.ohms <= LEAST_OHM:
             line = on_row if fault.kind == "bridged-rows" else on_column
             here, there = ((row, column + ahead_of_cells) for row, column in fault.ends)
             joints.append((np.array([line[here]]), np.array([line[there]])))

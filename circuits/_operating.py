@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.arrays import BoolArray, FloatArray, IntArray
+from ..common.arrays import IN_CACHE, BoolArray, FloatArray, IntArray
 from ..errors import SolverError
 from ._board import Board
 from ._design import Design
@@ -25,8 +25,6 @@ from ._sensitivity import solve_fields
 from .readouts import Ends
 from .solvers import IDEAL_WIRE
 
-_TOGETHER = 1 << 18
-"""entries of the largest arrays of boards that are solved in one call"""
 _OPEN = 1e-30
 """S of an open cell, so that the voltage across it follows from its current"""
 
@@ -173,7 +171,7 @@ class _Together:
         board, count = design.board, len(cells)
         ours = boards.turned if board.turned else boards
         rows, columns = board.shape
-        size = max(1, _TOGETHER // (rows * rows * columns))
+        size = max(1, IN_CACHE // (rows * rows * columns))
         parts = []
         with np.errstate(all="ignore"):  # what comes of it is solved again
             for first in range(0, count, size):

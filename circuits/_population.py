@@ -25,72 +25,64 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from ..common.arrays import BoolArray, FloatArray, IntArray
+from ..common.arrays import IN_CACHE, BoolArray, FloatArray, IntArray
 from ..errors import InputError
 from ._design import Design
 from ._scan import scan
 from ._sections import PerLine
 from .readouts import EndParts, Ends, Terminated
 
-_TOGETHER = 1 << 14
-"""matrix entries per temporary array: few enough for the processor's cache"""
+_OF_ROW, _OF_COLUMN = {"section": "array", "lines": "rows"}, {"section": "array", "lines": "columns"}
+_OF_READOUT, _SHARED = {"section": "readout", "lines": "sensed"}, {"section": "readout", "lines": "board"}
+"""the section of DESIGN.toml that a part is in, and the lines that have one each"""
 
 
 @dataclass(frozen=True)
 class Boards:
     """Part values of S boards: (S, N) per row, (S, M) per column, (S, 1) per board; S = 1 if all boards share them."""
 
-    row_lead: FloatArray
+    row_lead: FloatArray = field(metadata=_OF_ROW)
     """ohm"""
-    row_segment: FloatArray
-    column_lead: FloatArray
-    column_segment: FloatArray
-    reference_resistance: FloatArray
-    open_loop_gain: FloatArray
-    offset_voltage: FloatArray
+    row_segment: FloatArray = field(metadata=_OF_ROW)
+    column_lead: FloatArray = field(metadata=_OF_COLUMN)
+    column_segment: FloatArray = field(metadata=_OF_COLUMN)
+    reference_resistance: FloatArray = field(metadata=_OF_READOUT)
+    open_loop_gain: FloatArray = field(metadata=_OF_READOUT)
+    offset_voltage: FloatArray = field(metadata=_OF_READOUT)
     """V"""
-    bias_current: FloatArray
+    bias_current: FloatArray = field(metadata=_OF_READOUT)
     """A"""
-    voltage: FloatArray
+    voltage: FloatArray = field(metadata={"section": "drive", "lines": "board"})
     """V of the selected row against the reference"""
-    reference_voltage: FloatArray
+    reference_voltage: FloatArray = field(metadata=_SHARED)
     """V"""
-    gain_bandwidth: FloatArray
+    gain_bandwidth: FloatArray = field(metadata=_SHARED)
     """Hz"""
-    column_capacitance: FloatArray
+    column_capacitance: FloatArray = field(metadata=_SHARED)
     """F"""
-    feedback_capacitance: FloatArray
+    feedback_capacitance: FloatArray = field(metadata=_SHARED)
     """F"""
     ends: Mapping[str, FloatArray] = field(default_factory=dict)
     """(S, L) values of the parts of networks, by the names of :attr:`.Design.end_parts`"""
 
     @classmethod
-    def names(cls) -> tuple[str, ...]:
-        """The parts that every design has."""
-        return tuple(each.name for each in fields(cls) if each.name != "ends")
+    def names(cls) -> dict[str, str]:
+        """The parts that every design has, with the section of DESIGN.toml that each is in."""
+        return {each.name: each.metadata["section"] for each in fields(cls) if each.name != "ends"}
 
     @classmethod
     def of(cls, design: Design) -> Self:
         """One board with the nominal values of the design."""
-        array, drive, readout = design.array, design.drive, design.readout
-        rows, columns = array.shape
-        sensed = design.board.shape[1]
-        return cls(
-            row_lead=_each(array.row_lead, rows),
-            row_segment=_each(array.row_segment, rows),
-            column_lead=_each(array.column_lead, columns),
-            column_segment=_each(array.column_segment, columns),
-            reference_resistance=_each(readout.reference_resistance, sensed),
-            open_loop_gain=_each(readout.open_loop_gain, sensed),
-            offset_voltage=_each(readout.offset_voltage, sensed),
-            bias_current=_each(readout.bias_current, sensed),
-            voltage=_each(drive.voltage, 1),
-            reference_voltage=_each(readout.reference_voltage, 1),
-            gain_bandwidth=_each(readout.gain_bandwidth, 1),
-            column_capacitance=_each(readout.column_capacitance, 1),
-            feedback_capacitance=_each(readout.feedback_capacitance, 1),
-            ends={key: values[None] for key, values in design.end_parts.items()},
-        )
+        rows, columns = design.array.shape
+        counts = {"rows": rows, "columns": columns, "sensed": design.board.shape[1], "board": 1}
+        values = {
+            each.name: _each(
+                getattr(getattr(design, each.metadata["section"]), each.name), counts[each.metadata["lines"]]
+            )
+            for each in fields(cls)
+            if each.name != "ends"
+        }
+        return cls(**values, ends={key: values[None] for key, values in design.end_parts.items()})
 
     @property
     def count(self) -> int:
@@ -135,12 +127,10 @@ class Boards:
             line = values[0 if len(values) == 1 else board]
             return float(line[0]) if (line == line[0]).all() else tuple(line.tolist())
 
-        lines = ("row_lead", "row_segment", "column_lead", "column_segment")
-        built = nominal.replace(
-            array={name: pick(name) for name in lines},
-            drive={"voltage": pick("voltage")},
-            readout={name: pick(name) for name in self.names() if name not in (*lines, "voltage")},
-        )
+        changed: dict[str, dict[str, float | tuple[float, ...]]] = {}
+        for name, section in self.names().items():
+            changed.setdefault(section, {})[name] = pick(name)
+        built = nominal.replace(**changed)
         ends = {key: values[0 if len(values) == 1 else board] for key, values in self.ends.items()}
         return built.with_end_parts(ends) if ends else built
 
@@ -194,7 +184,7 @@ def scan_population(
         low, high = design.readout.supply
         ours = boards.turned if board.turned else boards
         places = None if driven is None else board.shape[0] - 1 - driven if board.turned else driven
-        for some in _chunks(count, max(1, _TOGETHER // board.shape[1] ** 2)):
+        for some in _chunks(count, max(1, IN_CACHE // 8 // board.shape[1] ** 2)):
             line = None if places is None else places[some]
             frames = board.turn(cells if len(cells) == 1 else cells[some])
             with np.errstate(all="ignore"):  # boards with a NaN are solved again below

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.arrays import BoolArray, FloatArray, IntArray
+from ..common.arrays import IN_CACHE, BoolArray, FloatArray, IntArray
 from ..errors import InputError, SolverError
 from ._board import Board
 from ._design import Design
@@ -20,7 +20,6 @@ from ._ideal import apparent_resistance
 from .solvers import attenuate
 
 _SMALL = 64  # cells up to which a frame is read exactly, since that takes hardly longer than the two tries
-_TOGETHER = 1 << 13  # cells solved in one go: enough to outweigh the calls, few enough for the processor's cache
 
 METHODS = ("attenuation", "exact")
 """Values of ``scan(..., method=...)``, from the cheapest to the most accurate"""
@@ -118,7 +117,7 @@ def scan_batch(
     start = time.perf_counter()
     board = design.board
     lines = board.turn(cells)
-    share = max(1, _TOGETHER // design.array.rows // design.array.columns)
+    share = max(1, IN_CACHE // 8 // design.array.rows // design.array.columns)
     parts = [_read(board, lines[first : first + share], demand) for first in range(0, len(lines), share)]
     found = _Answers(*(np.concatenate(part) for part in zip(*parts, strict=True))) if parts else _nothing(lines.shape)
     return BatchResult(

@@ -10,13 +10,12 @@ import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
 from ..common.arrays import FloatArray
-from ..common.config import LocalFile, Positive, Section, parse
+from ..common.config import MOST_CELLS, LocalFile, Positive, Section, parse
 from ..common.geometry import Geometry
 from ..common.tables import Table, write_text
 from ..common.text import shortened
 from ..errors import InputError
 
-MOST_CELLS = 256 * 256
 FURTHEST_MM = 1e6
 """from the origin: a kilometre"""
 RESOLVED_MM = 1e-6

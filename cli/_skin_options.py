@@ -23,6 +23,8 @@ from ._bar import progress_bar
 
 NATIVE = "ohmskin"
 """the family of boards that describe themselves"""
+QUEUE = 4096
+"""frames that may wait for a command that takes all of them"""
 
 
 @dataclass(frozen=True)

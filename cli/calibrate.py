@@ -14,12 +14,10 @@ from ..common.json_text import json_text
 from ..driver import Calibration
 from ..errors import InputError
 from . import arguments
-from ._skin_options import SkinOptions, skin_options
+from ._skin_options import QUEUE, SkinOptions, skin_options
 
 STANDARD_GRAVITY = 9.80665
 """m/s^2"""
-QUEUE = 4096
-"""frames that may wait"""
 
 
 @click.command(

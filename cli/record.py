@@ -14,10 +14,7 @@ from ..driver import LinkStatistics, Skin
 from ..errors import InputError, LinkEnded, LinkTimeout
 from . import arguments
 from ._bar import progress_bar
-from ._skin_options import SkinOptions, skin_options
-
-QUEUE = 4096
-"""frames that may wait while the disk is busy"""
+from ._skin_options import QUEUE, SkinOptions, skin_options
 
 
 @click.command(

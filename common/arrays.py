@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from statistics import NormalDist
 from typing import Any, TypeVar
 
 import numpy as np
@@ -44,8 +45,10 @@ def scatter(values: FloatArray) -> float:
 
     At least one value, none of them NaN.
     """
-    return median(np.abs(values)) / _MEDIAN_OF_NORMAL
+    return median(np.abs(values)) / MEDIAN_OF_NORMAL
 
 
-_MEDIAN_OF_NORMAL = 0.6745
+MEDIAN_OF_NORMAL = NormalDist().inv_cdf(0.75)
 """median of the absolute values of standard normal numbers"""
+IN_CACHE = 1 << 17
+"""values of the largest temporary arrays of what is computed in pieces: 1 MB; an eighth of it, in an inner cache"""

@@ -34,6 +34,8 @@ from .text import printable, shortened, shown
 MOST_SI, LEAST_SI = 1e30, 1e-30
 """Quantities in SI units lie far within these limits, and products of a few of them neither overflow nor vanish."""
 
+MOST_CELLS = 256 * 256
+"""of a skin"""
 MOST_LEVELS = 64
 """of tables and lists in each other"""
 LONGEST_KEY = 200

@@ -27,10 +27,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from statistics import NormalDist
 
 import numpy as np
 
-from .arrays import FloatArray
+from .arrays import MEDIAN_OF_NORMAL, FloatArray
 from .compiled import Record, Records, Row, Rows, loop, values, zeros
 
 # -- the noise of all readings -----------------------------------------------------------------------------------------
@@ -47,10 +48,12 @@ FEW = 6
 """with fewer readings the alternating part is the measure"""
 CLIP = 1.5
 """standard deviations of a reading at which its change is clipped: motion of few readings hardly counts"""
-MEAN_CHANGE, ALTERNATING = 0.918, 0.438
-"""mean in sigma, and alternating part in sigma^2, of changes that are clipped there (normal distribution)"""
-MEDIAN_CHANGE = 0.954
-"""median of the absolute change in sigma (normal distribution)"""
+MEAN_CHANGE = 2.0 * (1.0 - math.exp(-((CLIP / 2.0) ** 2))) / math.sqrt(math.pi) + CLIP * math.erfc(CLIP / 2.0)
+"""mean in sigma of changes that are clipped there: the difference of two normal variables has twice their variance"""
+ALTERNATING = 0.438
+"""mean in sigma^2 of minus the product of two such changes that follow each other"""
+MEDIAN_CHANGE = math.sqrt(2.0) * MEDIAN_OF_NORMAL
+"""median of the absolute change in sigma"""
 TOGETHER = 0.99
 """sum of signs of changes that go on, over that of one such reading, from which on they move: of five readings four, of
 fewer all"""
@@ -68,8 +71,8 @@ ROUNDED = 1.0 + 1e-9
 DOUBT, RARE = 0.05, 0.01
 """probabilities: that the stated noise gives readings as quiet as those seen; and of changes so small, below which the
 noise must have been smaller"""
-DEVIATIONS = 1.645
-"""standard deviations of a mean with the probability :data:`DOUBT`; normal distribution"""
+DEVIATIONS = NormalDist().inv_cdf(1.0 - DOUBT)
+"""standard deviations of a mean with this probability"""
 TABULATED = 2000
 """changes up to which quantiles are tabulated; beyond, the normal limit holds to a percent"""
 
@@ -80,16 +83,17 @@ EVERY = 3
 """frames between two evaluations of the third difference, whose overlapping windows tell nearly the same"""
 OUTLIER = 9.0
 """multiple of the variance beyond which a squared third difference is an outlier: three standard deviations"""
-UNCUT = 1.0274
-"""variance of a normal variable over that of its values within three standard deviations"""
+_CUT = math.sqrt(OUTLIER)
+UNCUT = 1.0 / (1.0 - 2.0 * _CUT * NormalDist().pdf(_CUT) / math.erf(_CUT / math.sqrt(2.0)))
+"""variance of a normal variable over that of its values that are no outliers"""
 CROWD, CROWDED = 24.0, 0.75
 """evaluations over which the fraction of outliers is averaged, and the fraction from which on they count: taps at three
 hertz, read by a slow board, leave half of the readings clean"""
 FIRST = 9
 """evaluations, one in each frame, of which few readings take the geometric mean, in which edges hardly count; many take
 the mean, and lean on that of the array"""
-GEOMETRIC = 1.2704
-"""mean of minus the logarithm of the square of a standard normal variable (the Euler constant plus ln 2)"""
+GEOMETRIC = float(np.euler_gamma) + math.log(2.0)
+"""mean of minus the logarithm of the square of a standard normal variable"""
 PRIOR, PRIOR_OF_ARRAY = 4.0, 48.0
 """weight, in evaluations, of a first guess as prior; and of the array's median"""
 MANY = 9

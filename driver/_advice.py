@@ -33,6 +33,11 @@ _WHY_NONE = {
     Reason.UNSOLVED: "no cells give such readings; the design is not that of this board",
 }
 
+_ALIKE = (
+    "cells of other resistances would give the same readings; the range of the cells, of CELL.toml or of [cells] in "
+    "the design, tells which of them are meant"
+)
+
 
 class Advice:
     """Judges board and skin by their first frames, and writes remarks into the counters."""
@@ -56,6 +61,7 @@ class Advice:
         """first frames counted so far; None: all have been judged"""
         self._reasons = np.zeros(len(Reason), dtype=np.int64)  # cells of those frames by reason
         self._surest = np.inf  # least uncertainty of their cells
+        self._alike = False  # whether other cells would give the same readings
         self._sheet: str | None = None
         """why the data sheet seems to be another skin's"""
         counters.untared = self._why_to_tare()
@@ -79,6 +85,7 @@ class Advice:
         self._reasons += cells
         uncertain = measured.reason == int(Reason.UNCERTAIN)
         self._surest = min(self._surest, float(measured.uncertainty.min(initial=np.inf, where=uncertain)))
+        self._alike |= bool((uncertain & (measured.least > 0.0) & np.isfinite(measured.greatest)).any())
         if self.frames < SOON:
             return
         self.frames = None
@@ -105,7 +112,7 @@ class Advice:
             return start + _WHY_NONE[why]
         best = self._surest
         if best >= 1.0:
-            return None
+            return start + _ALIKE if self._alike else None
         asked = f"{100 * ValidityRule.of(self._accuracy).limit:g} %"
         return (
             f"{start}{others} is known to {100 * best:.2g} %, and {asked} was asked for; "

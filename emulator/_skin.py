@@ -16,12 +16,10 @@ from itertools import pairwise
 import numpy as np
 
 from ..circuits import Design, adc_codes, scan_batch
-from ..common.arrays import CodeArray, FloatArray, IntArray
+from ..common.arrays import IN_CACHE, CodeArray, FloatArray, IntArray
 from ._scene import Scene
 from ._spread import Spreading
 
-_BLOCK_VALUES = 1 << 17
-"""cells times frames of a block: arrays of this size stay in the processor's cache"""
 _LONGEST_BLOCK = 512
 """frames; longer blocks would not be cheaper"""
 _LONGEST_DENSE_BLOCK = 8
@@ -197,7 +195,7 @@ def longest_block(design: Design) -> int:
     """Frames of the longest block of a design."""
     rows, columns = design.array.shape
     longest = _LONGEST_DENSE_BLOCK if design.board.linear is None else _LONGEST_BLOCK
-    return min(longest, max(1, _BLOCK_VALUES // (rows * columns)))
+    return min(longest, max(1, IN_CACHE // (rows * columns)))
 
 
 class ScenePhysics:

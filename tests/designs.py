@@ -42,23 +42,24 @@ KINDS = {
     "feedback": ("voltage-feedback", "ground", "float"),
     "floating": ("inverting-amplifier", "float", "float"),
     "floating rows": ("row-amplifier", "float", "float"),
+    "rows": ("row-amplifier", "ground", "float"),
     "grounded": ("inverting-amplifier", "ground", "float"),
 }
 """circuit, idle rows and idle columns"""
 
 
-def digitised(kind: str, rows: int, columns: int, bits: int, *, fault: Any = (), **sections: Any) -> Design:
+def digitised(
+    kind: str, rows: int, columns: int, bits: int, *, lead: float = 0.0, segment: float = 0.0, **sections: Any
+) -> Design:
     """A board of one of :data:`KINDS` behind a converter of 3.3 V, with the given keys of its sections."""
     circuit, idle_rows, idle_columns = KINDS[kind]
     amplified = circuit.endswith("amplifier")
-    return Design.model_validate(
-        {
-            "array": {"rows": rows, "columns": columns} | sections.get("array", {}),
-            "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows},
-            "readout": {"circuit": circuit, "reference_resistance": 2e3 if amplified else 5e3}
-            | {"idle_columns": idle_columns}
-            | sections.get("readout", {}),
-            "adc": {"bits": bits, "range": [0.0, 3.3]},
-            "fault": fault,
-        }
-    )
+    lines = {"row_lead": lead, "column_lead": lead, "row_segment": segment, "column_segment": segment}
+    usual: dict[str, dict[str, Any]] = {
+        "array": {"rows": rows, "columns": columns} | lines,
+        "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows},
+        "readout": {"circuit": circuit, "reference_resistance": 2e3 if amplified else 5e3}
+        | {"idle_columns": idle_columns},
+        "adc": {"bits": bits, "range": [0.0, 3.3]},
+    }
+    return Design.model_validate(sections | {name: keys | sections.get(name, {}) for name, keys in usual.items()})

@@ -1,8 +1,8 @@
 """What a faulty cell costs the others, on every kind of board: valid cells, processor time, and what is attainable.
 
 ``python tests/fault_frames.py --size 8`` prints one line per board and fault: the share of valid cells, the share that
-half an ADC step of each unlimited reading leaves known to a half (by derivatives of the independent :mod:`nodal`
-solver), and the longest and the median of the frames with the fault, in usual frames of the same board.
+half an ADC step of each unlimited reading leaves known to a half (by differences of scans), and the longest and the
+median of the frames with the fault, in usual frames of the same board.
 """
 
 from __future__ import annotations
@@ -13,10 +13,9 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from nodal import nodal_volts
-from option_product import allowed_share
+from live import counts_of
 
-from ohmskin.circuits import Design, adc_codes
+from ohmskin.circuits import Design, scan
 from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import CountReader
 
@@ -96,6 +95,25 @@ def faulty(cells: FloatArray, fault: str) -> FloatArray:
     return cells
 
 
+def allowed_share(design: Design, cells: FloatArray, free: np.ndarray[Any, Any]) -> float:
+    """Share of cells whose conductance half an ADC step of each ``free`` reading leaves known to a half."""
+    assert design.adc is not None
+    half, step = design.adc.step / 2, 1e-4
+    jacobian = np.empty((cells.size, cells.size))
+    for k in range(cells.size):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = cells.copy()
+            moved.flat[k] *= np.exp(sign * step)
+            ends.append(scan(design, moved, tolerance=1e-11).volts.ravel())
+        jacobian[:, k] = (ends[0] - ends[1]) / (2 * step)
+    jacobian = jacobian[free.ravel()][:, free.ravel()]
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    inverse = np.linalg.pinv(jacobian / size, rcond=1e-13) / size[:, None]
+    worst, random = np.abs(inverse).sum(axis=1) * half, np.sqrt((inverse**2).sum(axis=1)) * half * np.sqrt(3.0)
+    return float(np.count_nonzero(np.minimum(worst, random) < 0.5) / cells.size)
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -113,9 +131,8 @@ def main() -> None:
         # One pattern that comes and goes: changes of each cell by itself would be noise.
         pattern = np.random.default_rng(1).uniform(-0.02, 0.02, shape)
         moving = [rest * (1.0 + pattern * np.sin(number)) for number in range(BEFORE + DURING)]
-        codes = {fault: [adc_codes(design, nodal_volts(design, faulty(c, fault))) for c in moving[BEFORE:]]
-                 for fault in FAULTS}  # fmt: skip
-        before = [adc_codes(design, nodal_volts(design, cells)) for cells in moving[:BEFORE]]
+        codes = {fault: [counts_of(design, faulty(c, fault)) for c in moving[BEFORE:]] for fault in FAULTS}
+        before = [counts_of(design, cells) for cells in moving[:BEFORE]]
         for fault in FAULTS:
             times, wrong = np.full(BEFORE + DURING, np.inf), 0
             for _ in range(2):  # the shorter time of each frame counts
@@ -129,7 +146,7 @@ def main() -> None:
                             off = np.abs(found.resistance / faulty(moving[number], fault) - 1.0) / found.uncertainty
                         wrong += int((off[found.valid] > 1.0).any())
             usual, last = float(np.median(times[BEFORE // 2 : BEFORE])), faulty(moving[-1], fault)
-            volts = nodal_volts(design, last)
+            volts = scan(design, last).volts
             free = (volts < min(design.readout.supply[1], 3.3)) & (volts > 0.0)
             of = allowed_share(design, np.minimum(last, 1e9), free)
             with_fault = times[BEFORE:] / usual

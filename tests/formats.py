@@ -45,9 +45,9 @@ class Format:
 
     rows: int
     columns: int
-    top: int
-    period_s: float
     encode: Encode
+    top: int = 1023
+    period_s: float = 0.05
     boot: bytes = b""
     keeps: tuple[str, ...] = ()
     """what frames carry besides: "time", "number" """
@@ -59,21 +59,34 @@ class Format:
     """what comes between frames now and then, and how often a frame has it ahead"""
 
 
-FORMATS: dict[str, Format] = {}
-
-
-def shaped(rows: int, columns: int, top: int = 1023, period_s: float = 0.05, **keys: Any) -> Callable[[Encode], Encode]:
-    """Enter an encoder into the table."""
-
-    def enter(encode: Encode) -> Encode:
-        FORMATS[encode.__name__.strip("_")] = Format(rows, columns, top, period_s, encode, **keys)
-        return encode
-
-    return enter
-
-
 def _line(values: Any, between: str = ",", end: str = "\r\n") -> bytes:
-    return (between.join(f"{value:d}" for value in values) + end).encode()
+    return (between.join(f"{value:d}" for value in values.ravel()) + end).encode()
+
+
+def _rows(v: Counts, between: str = ",", end: str = "\r\n", head: str = "") -> bytes:
+    """A line for each row; ``head`` may say its number."""
+    return b"".join((head % i if "%" in head else head).encode() + _line(row, between, end) for i, row in enumerate(v))
+
+
+def _each(text: str, v: Counts) -> bytes:
+    """``text`` with row, column and value of each cell."""
+    return "".join(text.format(i=i, j=j, k=i * v.shape[1] + j, x=x) for (i, j), x in np.ndenumerate(v)).encode()
+
+
+def _u8(v: Counts) -> bytes:
+    return v.astype(np.uint8).tobytes()
+
+
+def _le(v: Counts) -> bytes:
+    return v.astype("<u2").tobytes()
+
+
+def _be(v: Counts) -> bytes:
+    return v.astype(">u2").tobytes()
+
+
+def _json(document: Any, end: bytes = b"\r\n", **options: Any) -> bytes:
+    return json.dumps(document, **options).encode() + end
 
 
 def crc16(data: bytes) -> bytes:
@@ -85,236 +98,34 @@ def crc16(data: bytes) -> bytes:
     return struct.pack("<H", crc)
 
 
-# Lines of numbers
+def _with_crc(body: bytes) -> bytes:
+    return body + crc16(body)
 
 
-@shaped(10, 10, boot=b"CFG,10,10,5000\r\n", keeps=("time",))
-def csv_time_us(v: Counts, t: float, k: int) -> bytes:
-    return b"F,%d," % int(t * 1e6) + _line(v.ravel())
+def _with_sum(body: bytes) -> bytes:
+    return body + bytes([sum(body) & 255])
 
 
-@shaped(18, 23, period_s=0.3)
-def walkway_padded(v: Counts, t: float, k: int) -> bytes:
-    return b"".join(b"".join(b" %4d" % x for x in row) + b"\n" for row in v) + b"\n"
+def _letters_xz(v: Counts, t: float, k: int) -> bytes:
+    return b"z".join(_each("{x}x", half) for half in (v[:10], v[10:])) + b"\r\n"
 
 
-@shaped(20, 9, period_s=0.02)
-def letters_xz(v: Counts, t: float, k: int) -> bytes:
-    first, second = (b"".join(b"%dx" % x for x in half.ravel()) for half in (v[:10], v[10:]))
-    return first + b"z" + second + b"\r\n"
-
-
-@shaped(3, 3, period_s=0.25)
-def json_list(v: Counts, t: float, k: int) -> bytes:
-    return b"[" + b",".join(b"%d" % x for x in v.ravel()) + b"]\r\n"
-
-
-@shaped(8, 8)
-def row_number_first(v: Counts, t: float, k: int) -> bytes:
-    return b"".join(b"%d," % i + _line(row) for i, row in enumerate(v))
-
-
-@shaped(16, 16, period_s=0.1)
-def trailing_comma_rows(v: Counts, t: float, k: int) -> bytes:
-    return b"".join(_line(row, end=",\r\n") for row in v)
-
-
-@shaped(16, 16, period_s=0.25)
-def text_ahead_of_rows(v: Counts, t: float, k: int) -> bytes:
-    head = b"Center point (8,8) value: %d\r\nFull matrix:\r\n" % v[8, 8]
-    return head + b"".join(_line(row, end=",\r\n") for row in v)
-
-
-@shaped(6, 6, 4095, 0.2)
-def banner_and_dashes(v: Counts, t: float, k: int) -> bytes:
-    rows = b"".join(_line(row[::-1], "\t", "\t\r\n") for row in v)
-    return b"----- MATRIZ -----\r\n" + rows + b"------------------\n\r\n"
-
-
-@shaped(
-    1,
-    16,
-    4095,
-    0.01,
-    boot=b"[SD] init failed. Check wiring & CS pin.\r\ntime_ms,ch0,ch1,ch2,ch3,ch4,ch5,ch6,ch7,ch8\r\n",
-    keeps=("time",),
-)
-def insole_time_ms(v: Counts, t: float, k: int) -> bytes:
-    return b"%d," % int(t * 1000) + _line(v.ravel(), end="\n")
-
-
-@shaped(9, 9)
-def tabs(v: Counts, t: float, k: int) -> bytes:
-    return _line(v.ravel(), "\t", "\n")
-
-
-@shaped(4, 4, period_s=0.1)
-def rows_by_semicolons(v: Counts, t: float, k: int) -> bytes:
-    return b";".join(_line(row, end="") for row in v) + b"\r\n"
-
-
-@shaped(8, 12)
-def row_label(v: Counts, t: float, k: int) -> bytes:
-    return b"".join(b"R%d: " % i + _line(row, " ") for i, row in enumerate(v))
-
-
-@shaped(6, 10)
-def row_brackets(v: Counts, t: float, k: int) -> bytes:
-    return b"".join(b"Row[%d] = " % (i + 1) + _line(row, ", ") for i, row in enumerate(v))
-
-
-@shaped(4, 6)
-def cell_coordinates(v: Counts, t: float, k: int) -> bytes:
-    return b"".join(b"%d,%d,%d\r\n" % (i, j, x) for (i, j), x in np.ndenumerate(v))
-
-
-@shaped(5, 5)
-def cell_parentheses(v: Counts, t: float, k: int) -> bytes:
-    return b"".join(b"(%d,%d): %d\r\n" % (i, j, x) for (i, j), x in np.ndenumerate(v))
-
-
-@shaped(2, 8)
-def cell_name(v: Counts, t: float, k: int) -> bytes:
-    return b"".join(b"S%d=%d\n" % (i, x) for i, x in enumerate(v.ravel()))
-
-
-@shaped(4, 4)
-def labels_in_a_line(v: Counts, t: float, k: int) -> bytes:
-    return b",".join(b"A%d:%d" % (i, x) for i, x in enumerate(v.ravel())) + b"\r\n"
-
-
-@shaped(6, 6, keeps=("time",))
-def time_last(v: Counts, t: float, k: int) -> bytes:
-    return _line(v.ravel(), end="") + b",%d\r\n" % int(t * 1000)
-
-
-@shaped(6, 6, keeps=("time", "number"))
-def number_and_time(v: Counts, t: float, k: int) -> bytes:
-    return b"%d;%d;" % (k + 17, int(t * 1000) + 4210) + _line(v.ravel(), ";", "\n")
-
-
-@shaped(8, 8, keeps=("time",))
-def seconds_ahead(v: Counts, t: float, k: int) -> bytes:
-    return b"%.3f " % (t + 2.5) + _line(v.ravel(), " ", "\n")
-
-
-@shaped(7, 9)
-def volts(v: Counts, t: float, k: int) -> bytes:
-    return " ".join(f"{3.3 * x / 1023:.3f}" for x in v.ravel()).encode() + b"\r\n"
-
-
-@shaped(12, 12)
-def matlab_brackets(v: Counts, t: float, k: int) -> bytes:
-    return b"[" + b"; ".join(_line(row, " ", "") for row in v) + b"]\n"
-
-
-@shaped(16, 16, period_s=0.2)
-def numpy_print(v: Counts, t: float, k: int) -> bytes:
+def _numpy_print(v: Counts, t: float, k: int) -> bytes:
     rows = ["[" + " ".join(f"{x:4d}" for x in row) + "]" for row in v]
     return ("[" + "\n ".join(rows) + "]\n").encode()
 
 
-@shaped(10, 6)
-def frame_word_ahead(v: Counts, t: float, k: int) -> bytes:
-    return b"FRAME %d\r\n" % k + b"".join(_line(row, " ") for row in v)
-
-
-@shaped(8, 8, 255)
-def dollar_star(v: Counts, t: float, k: int) -> bytes:
-    body = _line(v.ravel(), end="")
+def _dollar_star(v: Counts, t: float, k: int) -> bytes:
+    body = _line(v, end="")
     return b"$MAT," + body + b"*%02X\r\n" % int(np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)))
 
 
-@shaped(8, 8, 255)
-def hex_digits(v: Counts, t: float, k: int) -> bytes:
-    return v.astype(np.uint8).tobytes().hex().upper().encode() + b"\r\n"
+def _packets_with_starts(v: Counts, t: float, k: int) -> bytes:
+    heads, ends = [struct.pack("<BH", 1, 64 * j) for j in range(4)], [struct.pack("<I", 4 * k + j) for j in range(4)]
+    return b"".join(heads[j] + _le(v.ravel()[64 * j :][:64]) + ends[j] + b"wr" for j in range(4))
 
 
-@shaped(8, 8, 4095)
-def hex_words(v: Counts, t: float, k: int) -> bytes:
-    return " ".join(f"{x:03x}" for x in v.ravel()).encode() + b"\n"
-
-
-@shaped(16, 16, 4095)
-def base64_words(v: Counts, t: float, k: int) -> bytes:
-    return base64.b64encode(v.astype("<u2").tobytes()) + b"\n"
-
-
-@shaped(6, 8, idle=(b"[I][main] heap 182344 rssi -61\r\n", 0.2))
-def log_lines_between(v: Counts, t: float, k: int) -> bytes:
-    return b"data:" + _line(v.ravel(), " ")
-
-
-@shaped(5, 8)
-def each_frame_twice(v: Counts, t: float, k: int) -> bytes:
-    return 2 * _line(v.ravel())
-
-
-@shaped(8, 8, idle=(b"keepalive\r\n", 0.3))
-def keep_alive_lines(v: Counts, t: float, k: int) -> bytes:
-    return b"".join(_line(row, "\t") for row in v) + b"\r\n"
-
-
-# JSON
-
-
-@shaped(4, 5, keeps=("time",))
-def json_object(v: Counts, t: float, k: int) -> bytes:
-    return json.dumps({"t": int(t * 1000), "id": "mat1", "data": v.tolist()}).encode() + b"\n"
-
-
-@shaped(6, 6, keeps=("time", "number"))
-def json_flat(v: Counts, t: float, k: int) -> bytes:
-    document = {"type": "frame", "seq": k, "timestamp_us": int(t * 1e6), "v": v.ravel().tolist()}
-    return json.dumps(document, separators=(",", ":")).encode() + b"\r\n"
-
-
-@shaped(3, 4)
-def json_rows(v: Counts, t: float, k: int) -> bytes:
-    return json.dumps({f"row{i}": row.tolist() for i, row in enumerate(v)}).encode() + b"\r\n"
-
-
-@shaped(2, 4)
-def json_sensors(v: Counts, t: float, k: int) -> bytes:
-    sensors = [{"id": i, "value": int(x)} for i, x in enumerate(v.ravel())]
-    return json.dumps({"sensors": sensors}).encode() + b"\r\n"
-
-
-@shaped(2, 4)
-def json_named(v: Counts, t: float, k: int) -> bytes:
-    return json.dumps({f"s{i}": int(x) for i, x in enumerate(v.ravel())}).encode() + b"\r\n"
-
-
-# Bytes
-
-
-@shaped(56, 28, 207)
-def end_mark_only(v: Counts, t: float, k: int) -> bytes:
-    return v.astype(np.uint8).tobytes() + b"\xff\xfe\xfe\xff"
-
-
-@shaped(16, 16, 255, boot=b"Velostat 16x16 Streaming Ready\r\n", period_s=0.1)
-def bytes_and_pauses(v: Counts, t: float, k: int) -> bytes:
-    return np.maximum(v.T, 1).astype(np.uint8).tobytes()
-
-
-@shaped(16, 16, 4095, 0.03, keeps=("number",))
-def packets_with_starts(v: Counts, t: float, k: int) -> bytes:
-    cells = v.ravel().astype("<u2")
-    return b"".join(
-        struct.pack("<BH", 1, 64 * j) + cells[64 * j :][:64].tobytes() + struct.pack("<I", 4 * k + j) + b"wr"
-        for j in range(4)
-    )
-
-
-@shaped(4, 8, 4095)
-def modbus_answer(v: Counts, t: float, k: int) -> bytes:
-    body = b"\x01\x04\x40" + v[::-1].astype(">u2").tobytes()
-    return body + crc16(body)
-
-
-@shaped(16, 16, 254, rest=0.0, noise=0.4, least=3)
-def runs_of_zeros(v: Counts, t: float, k: int) -> bytes:
+def _runs_of_zeros(v: Counts, t: float, k: int) -> bytes:
     out, zeros = bytearray(), 0
     for x in [*v.ravel().tolist(), None]:
         if x == 0 and zeros < 254:
@@ -328,82 +139,105 @@ def runs_of_zeros(v: Counts, t: float, k: int) -> bytes:
     return bytes(out) + b"\xff"
 
 
-@shaped(8, 16, 1023, keeps=("time",))
-def header_time_words(v: Counts, t: float, k: int) -> bytes:
-    return b"\xa5\x5a" + struct.pack("<I", int(t * 1000) + 900) + v.astype("<u2").tobytes()
+def _packed_12_bits(v: Counts, t: float, k: int) -> bytes:
+    a, b = v.ravel().reshape(-1, 2).T
+    return b"\xfe\xef" + _u8(np.stack([a & 255, a >> 8 | (b & 15) << 4, b >> 4], axis=1))
 
 
-@shaped(8, 8, 4095, keeps=("number", "time"))
-def header_number_time_crc(v: Counts, t: float, k: int) -> bytes:
-    body = struct.pack("<HI", k + 250, int(t * 1e6)) + v.astype(">u2").tobytes()
-    return b"\xaa\x55" + body + crc16(body)
+def _slip(v: Counts, t: float, k: int) -> bytes:
+    return b"\xc0" + _le(v).replace(b"\xdb", b"\xdb\xdd").replace(b"\xc0", b"\xdb\xdc") + b"\xc0"
 
 
-@shaped(12, 10, 4095)
-def packed_12_bits(v: Counts, t: float, k: int) -> bytes:
-    pairs = v.ravel().reshape(-1, 2)
-    a, b = pairs[:, 0], pairs[:, 1]
-    packed = np.stack([a & 255, a >> 8 | (b & 15) << 4, b >> 4], axis=1)
-    return b"\xfe\xef" + packed.astype(np.uint8).tobytes()
-
-
-@shaped(16, 16, 1023)
-def big_endian_length_sum(v: Counts, t: float, k: int) -> bytes:
-    body = struct.pack(">H", 512) + v.astype(">u2").tobytes()
-    return b"\x7e" + body + bytes([sum(body) & 255])
-
-
-@shaped(16, 32, 255)
-def row_packets(v: Counts, t: float, k: int) -> bytes:
-    return b"".join(b"\xaa\xbb" + bytes([i]) + row.astype(np.uint8).tobytes() for i, row in enumerate(v))
-
-
-@shaped(8, 12, 1023)
-def row_packets_sum(v: Counts, t: float, k: int) -> bytes:
-    out = b""
-    for i, row in enumerate(v):
-        body = bytes([i + 1]) + row.astype("<u2").tobytes()
-        out += b"\xff\x01" + body + bytes([sum(body) & 255])
-    return out
-
-
-@shaped(4, 4, 255)
-def value_index_pairs(v: Counts, t: float, k: int) -> bytes:
-    return b"".join(bytes([0xF5, i, x]) for i, x in enumerate(v.ravel().tolist()))
-
-
-@shaped(6, 10, 1023)
-def slip(v: Counts, t: float, k: int) -> bytes:
-    body = v.astype("<u2").tobytes()
-    return b"\xc0" + body.replace(b"\xdb", b"\xdb\xdd").replace(b"\xc0", b"\xdb\xdc") + b"\xc0"
-
-
-@shaped(8, 8, 4095, keeps=("number",))
-def cobs_crc(v: Counts, t: float, k: int) -> bytes:
+def _cobs_crc(v: Counts, t: float, k: int) -> bytes:
     from cobs import cobs  # the public library, which no reader of ours is
 
-    body = struct.pack("<I", k) + v.astype("<u2").tobytes()
-    return bytes(cobs.encode(body + crc16(body))) + b"\0"
+    return bytes(cobs.encode(_with_crc(struct.pack("<I", k) + _le(v)))) + b"\0"
 
 
-@shaped(4, 6, 4095)
-def floats(v: Counts, t: float, k: int) -> bytes:
-    return b"DATA" + (v * 3.3 / 4095).astype("<f4").tobytes()
+INSOLE = b"[SD] init failed. Check wiring & CS pin.\r\ntime_ms,ch0,ch1,ch2,ch3,ch4,ch5,ch6,ch7,ch8\r\n"
+DASHES = b"----- MATRIZ -----\r\n", b"------------------\n\r\n"
+TIMED, BOTH = ("time",), ("time", "number")
 
-
-@shaped(10, 16, 255)
-def bytes_and_newline(v: Counts, t: float, k: int) -> bytes:
-    return b"S" + v.astype(np.uint8).tobytes() + b"\n"
-
-
-@shaped(15, 14, 255, period_s=0.02)
-def column_by_column(v: Counts, t: float, k: int) -> bytes:
-    return b"\xff\x00\xff" + np.minimum(v.T, 250).astype(np.uint8).tobytes()
-
-
-@shaped(8, 8, 1023)
-def copies_of_packets(v: Counts, t: float, k: int) -> bytes:
-    return 3 * (b"\xa0\x5f" + v.astype("<u2").tobytes() + b"\xc0")
+FORMATS: dict[str, Format] = {
+    # Lines of numbers
+    "csv_time_us": Format(10, 10, lambda v, t, k: b"F,%d," % int(t * 1e6) + _line(v),
+                          boot=b"CFG,10,10,5000\r\n", keeps=TIMED),
+    "walkway_padded": Format(
+        18, 23, lambda v, t, k: b"".join(_each(" {x:4d}", row[None]) + b"\n" for row in v) + b"\n", period_s=0.3),
+    "letters_xz": Format(20, 9, _letters_xz, period_s=0.02),
+    "json_list": Format(3, 3, lambda v, t, k: b"[" + _line(v, end="]\r\n"), period_s=0.25),
+    "row_number_first": Format(8, 8, lambda v, t, k: _rows(v, head="%d,")),
+    "trailing_comma_rows": Format(16, 16, lambda v, t, k: _rows(v, end=",\r\n"), period_s=0.1),
+    "text_ahead_of_rows": Format(
+        16, 16, lambda v, t, k: b"Center point (8,8) value: %d\r\nFull matrix:\r\n" % v[8, 8] + _rows(v, end=",\r\n"),
+        period_s=0.25),
+    "banner_and_dashes": Format(
+        6, 6, lambda v, t, k: DASHES[0] + _rows(v[:, ::-1], "\t", "\t\r\n") + DASHES[1], 4095, 0.2),
+    "insole_time_ms": Format(1, 16, lambda v, t, k: b"%d," % int(t * 1000) + _line(v, end="\n"), 4095, 0.01,
+                             boot=INSOLE, keeps=TIMED),
+    "tabs": Format(9, 9, lambda v, t, k: _line(v, "\t", "\n")),
+    "rows_by_semicolons": Format(4, 4, lambda v, t, k: _rows(v, end=";")[:-1] + b"\r\n", period_s=0.1),
+    "row_label": Format(8, 12, lambda v, t, k: _rows(v, " ", head="R%d: ")),
+    "row_brackets": Format(
+        6, 10, lambda v, t, k: b"".join(b"Row[%d] = " % (i + 1) + _line(row, ", ") for i, row in enumerate(v))),
+    "cell_coordinates": Format(4, 6, lambda v, t, k: _each("{i},{j},{x}\r\n", v)),
+    "cell_parentheses": Format(5, 5, lambda v, t, k: _each("({i},{j}): {x}\r\n", v)),
+    "cell_name": Format(2, 8, lambda v, t, k: _each("S{k}={x}\n", v)),
+    "labels_in_a_line": Format(4, 4, lambda v, t, k: _each("A{k}:{x},", v)[:-1] + b"\r\n"),
+    "time_last": Format(6, 6, lambda v, t, k: _line(v, end="") + b",%d\r\n" % int(t * 1000), keeps=TIMED),
+    "number_and_time": Format(
+        6, 6, lambda v, t, k: b"%d;%d;" % (k + 17, int(t * 1000) + 4210) + _line(v, ";", "\n"), keeps=BOTH),
+    "seconds_ahead": Format(8, 8, lambda v, t, k: b"%.3f " % (t + 2.5) + _line(v, " ", "\n"), keeps=TIMED),
+    "volts": Format(7, 9, lambda v, t, k: " ".join(f"{3.3 * x / 1023:.3f}" for x in v.ravel()).encode() + b"\r\n"),
+    "matlab_brackets": Format(12, 12, lambda v, t, k: b"[" + _rows(v, " ", "; ")[:-2] + b"]\n"),
+    "numpy_print": Format(16, 16, _numpy_print, period_s=0.2),
+    "frame_word_ahead": Format(10, 6, lambda v, t, k: b"FRAME %d\r\n" % k + _rows(v, " ")),
+    "dollar_star": Format(8, 8, _dollar_star, 255),
+    "hex_digits": Format(8, 8, lambda v, t, k: _u8(v).hex().upper().encode() + b"\r\n", 255),
+    "hex_words": Format(8, 8, lambda v, t, k: " ".join(f"{x:03x}" for x in v.ravel()).encode() + b"\n", 4095),
+    "base64_words": Format(16, 16, lambda v, t, k: base64.b64encode(_le(v)) + b"\n", 4095),
+    "log_lines_between": Format(6, 8, lambda v, t, k: b"data:" + _line(v, " "),
+                                idle=(b"[I][main] heap 182344 rssi -61\r\n", 0.2)),
+    "each_frame_twice": Format(5, 8, lambda v, t, k: 2 * _line(v)),
+    "keep_alive_lines": Format(8, 8, lambda v, t, k: _rows(v, "\t") + b"\r\n", idle=(b"keepalive\r\n", 0.3)),
+    # JSON
+    "json_object": Format(4, 5, lambda v, t, k: _json({"t": int(t * 1000), "id": "mat1", "data": v.tolist()}, b"\n"),
+                          keeps=TIMED),
+    "json_flat": Format(
+        6, 6, lambda v, t, k: _json({"type": "frame", "seq": k, "timestamp_us": int(t * 1e6), "v": v.ravel().tolist()},
+                                    separators=(",", ":")), keeps=BOTH),
+    "json_rows": Format(3, 4, lambda v, t, k: _json({f"row{i}": row.tolist() for i, row in enumerate(v)})),
+    "json_sensors": Format(
+        2, 4, lambda v, t, k: _json({"sensors": [{"id": i, "value": int(x)} for i, x in enumerate(v.ravel())]})),
+    "json_named": Format(2, 4, lambda v, t, k: _json({f"s{i}": int(x) for i, x in enumerate(v.ravel())})),
+    # Bytes
+    "end_mark_only": Format(56, 28, lambda v, t, k: _u8(v) + b"\xff\xfe\xfe\xff", 207),
+    "bytes_and_pauses": Format(16, 16, lambda v, t, k: _u8(np.maximum(v.T, 1)), 255, 0.1,
+                               boot=b"Velostat 16x16 Streaming Ready\r\n"),
+    "packets_with_starts": Format(16, 16, _packets_with_starts, 4095, 0.03, keeps=("number",)),
+    "modbus_answer": Format(4, 8, lambda v, t, k: _with_crc(b"\x01\x04\x40" + _be(v[::-1])), 4095),
+    "runs_of_zeros": Format(16, 16, _runs_of_zeros, 254, rest=0.0, noise=0.4, least=3),
+    "header_time_words": Format(
+        8, 16, lambda v, t, k: b"\xa5\x5a" + struct.pack("<I", int(t * 1000) + 900) + _le(v), keeps=TIMED),
+    "header_number_time_crc": Format(
+        8, 8, lambda v, t, k: b"\xaa\x55" + _with_crc(struct.pack("<HI", k + 250, int(t * 1e6)) + _be(v)), 4095,
+        keeps=BOTH),
+    "packed_12_bits": Format(12, 10, _packed_12_bits, 4095),
+    "big_endian_length_sum": Format(
+        16, 16, lambda v, t, k: b"\x7e" + _with_sum(struct.pack(">H", 512) + _be(v))),
+    "row_packets": Format(
+        16, 32, lambda v, t, k: b"".join(b"\xaa\xbb" + bytes([i]) + _u8(row) for i, row in enumerate(v)), 255),
+    "row_packets_sum": Format(
+        8, 12, lambda v, t, k: b"".join(b"\xff\x01" + _with_sum(bytes([i + 1]) + _le(row)) for i, row in enumerate(v))),
+    "value_index_pairs": Format(
+        4, 4, lambda v, t, k: b"".join(bytes([0xF5, i, x]) for i, x in enumerate(v.ravel().tolist())), 255),
+    "slip": Format(6, 10, _slip),
+    "cobs_crc": Format(8, 8, _cobs_crc, 4095, keeps=("number",)),
+    "floats": Format(4, 6, lambda v, t, k: b"DATA" + (v * 3.3 / 4095).astype("<f4").tobytes(), 4095),
+    "bytes_and_newline": Format(10, 16, lambda v, t, k: b"S" + _u8(v) + b"\n", 255),
+    "column_by_column": Format(15, 14, lambda v, t, k: b"\xff\x00\xff" + _u8(np.minimum(v.T, 250)), 255, 0.02),
+    "copies_of_packets": Format(8, 8, lambda v, t, k: 3 * (b"\xa0\x5f" + _le(v) + b"\xc0")),
+}  # fmt: skip
 
 
 # What is judged

@@ -6,6 +6,7 @@ import gc
 import json
 import logging
 import math
+import re
 from dataclasses import asdict, dataclass, field, replace
 from math import inf
 from pathlib import Path
@@ -13,18 +14,22 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import norm
 
 from ohmskin import bench
-from ohmskin.bench import _driver, _peers, boards, measurements, scenarios
+from ohmskin.bench import _driver, _peers, boards, measurements, scenarios, scenes, search
 from ohmskin.bench._driver import FRAME_RATE_HZ, design, packets_of, pressed
 from ohmskin.bench._paced_port import PacedPort
-from ohmskin.bench._reference import reference_volts
-from ohmskin.bench.harness import column, table
+from ohmskin.bench._reference import Indeterminate, reference_volts
+from ohmskin.bench.harness import column, interval_score, table
 from ohmskin.cell import ESTIMATORS, Cell
-from ohmskin.circuits import METHODS, adc_codes, scan
+from ohmskin.circuits import METHODS, Design, adc_codes, scan, scan_batch
 from ohmskin.cli import run
 from ohmskin.driver import Arrival, CountReader, Skin
-from ohmskin.errors import InputError
+from ohmskin.errors import InputError, SolverError
 from ohmskin.wire import host_protocol
 
 
@@ -292,3 +297,228 @@ def test_the_least_deviation_of_a_frame_is_that_of_the_linear_law(circuit: str, 
     spread = np.std(found[20:], axis=0)
     assert (spread > 0.8 * least).all()  # of 280 frames: 4.7 standard deviations of a standard deviation
     assert (spread < 1.5 * least).all()
+
+
+# A bounded search for wrong readings, the findings of past searches, and what the search itself must notice
+
+
+@pytest.mark.parametrize("family", search.FAMILIES)
+def test_a_search_of_each_family_finds_nothing(family: str) -> None:
+    tally = search.Tally()
+    for number in range(25):
+        search.check(family, number, tally)
+    assert tally.designs == 25
+    assert not tally.findings
+
+
+def feedback(cells: object, *, gain: float = inf, offset: float = 0.0, **array: object) -> Design:
+    rows, columns = np.shape(cells)
+    return Design.model_validate(
+        {
+            "array": {"rows": rows, "columns": columns} | array,
+            "drive": {"voltage": -1.0},
+            "readout": {
+                "circuit": "voltage-feedback",
+                "reference_resistance": 1000.0,
+                "open_loop_gain": gain,
+                "offset_voltage": offset,
+            },
+        }
+    )
+
+
+def test_shorts_among_ideal_and_real_lines_keep_the_bound() -> None:
+    """Conductances that stand for shorts tie with each other; LU interchanged rows, and the bound was broken."""
+    cells = [[0.0, 0.0, 0.0], [0.0, 0.0, 1e4]]
+    design = feedback(cells, gain=1e5, row_lead=17.3, column_lead=[4.29, 20.7, 0.0])
+    result = scan(design, cells)
+    exact = reference_volts(design, cells)
+    assert np.abs(result.volts - exact).max() <= result.error_bound * np.abs(exact).max()
+    assert result.error_bound < 1e-10
+    assert exact[0, 2] == pytest.approx(-0.98293, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("cells", "parts", "message"),
+    [
+        ([[0.0, 1e4], [1e4, 1e4]], {"offset": 1e-3}, "the driver of row 0 and the end of column 0"),
+        ([[0.0], [1e4]], {"offset": 1e-3}, "the driver of row 0 and the end of column 0"),
+        ([[0.0, 0.0]], {"gain": 1e5}, "the driver of row 0 and the end of column 0"),
+        ([[0.0, 0.0], [1e4, 1e4]], {"row_lead": 1.0}, "the ends of columns 0 and 1"),
+        ([[0.0, 1e4], [0.0, 1e4]], {"column_lead": 1.0}, "the row drivers 0 and 1"),
+    ],
+)
+def test_contradictions_of_a_follower_are_refused(cells: object, parts: dict[str, float], message: str) -> None:
+    design = feedback(cells, **parts)
+    with pytest.raises(SolverError, match=message):
+        scan(design, cells)
+    with pytest.raises(Indeterminate):
+        reference_volts(design, cells)
+
+
+def test_a_complete_short_by_a_fault_is_a_contradiction_as_one_by_a_cell_is() -> None:
+    base = feedback([[1e4, 1e4]])
+    design = base.replace(
+        readout={"circuit": "inverting-amplifier"},
+        array={"row_lead": 1.0},
+        fault=[{"kind": "shorted-cell", "place": [0, column]} for column in range(2)],
+    )
+    with pytest.raises(SolverError, match="ideal amplifiers of columns 0 and 1"):
+        scan(design, [[1e4, 1e4]])
+
+
+def test_what_an_idle_driver_leaves_open_has_no_bound() -> None:
+    """Driver and virtual ground hold the same potential, and nothing says how they share the current."""
+    cells = np.array([[0.0, 1e4], [1e4, 1e4]])
+    for circuit in ("inverting-amplifier", "row-amplifier"):
+        design = feedback(cells).replace(readout={"circuit": circuit, "supply": (-1.0, 3.0)})
+        with pytest.raises(Indeterminate):
+            reference_volts(design, cells)
+        result = scan(design, cells)
+        assert result.saturated.tolist() == [[True, False], [False, False]]
+        assert result.error_bound == inf
+        frames = scan_batch(design, [cells, np.full((2, 2), 1e4)])
+        assert frames.error_bound[0] == inf
+        assert frames.error_bound[1] < 1e-12
+
+
+def test_nearly_equal_sources_that_are_joined_keep_their_bound() -> None:
+    """Their difference has lost digits before it meets any conductance (a finding in the family of faults)."""
+    tally = search.Tally()
+    for number in (210000141, 210000478, 210000541):
+        search.check("faults", number, tally)
+    assert not tally.findings
+
+
+def test_the_search_notices_wrong_readings(monkeypatch: pytest.MonkeyPatch) -> None:
+    def wrong(design: Design, cells: object, **options: object) -> object:
+        result = scan(design, cells)
+        result.volts[0, 0] *= 1.0 + 1e-6
+        return result
+
+    monkeypatch.setattr(search, "scan", wrong)
+    tally = search.Tally()
+    for number in range(20):
+        search.check("ordinary", number, tally)
+    assert len(tally.findings) > 10
+    assert all("broken bound" in finding for finding in tally.findings)
+
+
+def test_the_command_prints_counts_and_shows_a_design() -> None:
+    ran = CliRunner().invoke(search.main, ["--seconds", "0.5", "--family", "ties"])
+    assert ran.exit_code == 0, ran.output
+    assert "designs" in ran.output
+    shown = CliRunner().invoke(search.main, ["--show", "ties:3"])
+    assert shown.exit_code == 0
+    assert "cells = [[" in shown.output
+
+
+def test_the_command_shows_the_stream_of_a_live_finding() -> None:
+    """It searched instead, until the time was up."""
+    shown = CliRunner().invoke(search.main, ["--live", "--show", "inverting:3"])
+    assert shown.exit_code == 0
+    design, *frames = shown.output.splitlines()
+    shape = Design.model_validate(json.loads(design)).array.shape
+    assert frames
+    for frame in frames:
+        values = re.fullmatch(r"cells = (.*), noise_steps = (.*), counts = (.*)", frame)
+        assert values is not None
+        assert np.shape(json.loads(values[3])) == shape
+    for wrong in ("ties:3", "inverting:x", "inverting"):
+        refused = CliRunner().invoke(search.main, ["--live", "--show", wrong])
+        assert refused.exit_code == 2
+        assert "expected FAMILY:NUMBER" in refused.output
+
+
+# Regression scenarios: the table is that of this source, figures are what their names say, and gates are limits
+
+
+FROZEN = (
+    "taps | example, 100 Hz, 12 bits, 1 mV",
+    "random | paper, 100 Hz, 12 bits, 1 mV",
+    "press, opens | example, 100 Hz, 12 bits, 1 mV",
+    "wavering | example, 100 Hz, 12 bits, 1 mV",
+    "hold | example, 100 Hz, 8 bits, 0.1 mV",
+    "taps, mismatched | example, 100 Hz, 12 bits, 1 mV",
+)
+
+
+class Knows:
+    """Shows the truth, off by so many of its own deviations."""
+
+    def __init__(self, cell: Cell, shape: tuple[int, ...], off: float = 0.5) -> None:
+        self.played: scenes.Played | None = None
+        self.frame, self.off = -1, off
+        self.std_kpa = np.full(shape, 0.01 * cell.full_scale_kpa)
+
+    def step(self, elapsed_s: float, resistance: np.ndarray) -> np.ndarray:
+        assert self.played is not None
+        self.frame += 1
+        np.testing.assert_array_equal(resistance, self.played.ohms[self.frame])
+        return np.asarray(self.played.pressure_kpa[self.frame] + self.off * self.std_kpa)
+
+
+@pytest.mark.parametrize("name", FROZEN)
+def test_the_table_holds_for_this_source(name: str) -> None:
+    """No limit is missed that the frozen figures met."""
+    row = next(row for row in scenarios.rows(name) if row.name == name)
+    (verdict,) = scenarios.judge([row], scenarios.maker(None))
+    assert row.today is not None
+    assert set(verdict.misses) <= set(scenarios.misses(row, row.today))
+
+
+def test_figures_are_those_of_an_estimator_whose_errors_are_known() -> None:
+    """Half a deviation off everywhere, of one percent of full scale."""
+    scene = scenes.Scene("taps", "example")
+    cell, played = scenes.cells()["example"], scenes.play(scene)
+    estimator = Knows(cell, played.pressure_kpa.shape[1:])
+    estimator.played = played
+    pressure, std, _ = scenarios.estimated(played, estimator)
+    found = scenarios.figures(played, pressure, std, cell.full_scale_kpa)
+    assert (found.rmse, found.interval, found.sd, found.rest) == pytest.approx((0.5, 4.0, 1.0, 0.5))
+    assert found.within == 100.0
+
+
+@pytest.mark.parametrize(
+    ("change", "missed"),
+    [
+        ({}, ()),
+        ({"rmse": 0.55}, ()),  # 1.25 times today's, and 0.3 % of full scale
+        ({"rmse": 0.6}, ("rmse",)),
+        ({"within": 87.0}, ("within",)),
+        ({"interval": 7.0, "sd": 9.0}, ("interval",)),
+        ({"rest": 11.0}, ("rest",)),
+        ({"interval": math.nan}, ("interval",)),
+        ({"rest": math.nan}, ()),  # no cell is released
+    ],
+)
+def test_a_gate_names_the_figures_that_miss_it(change: dict[str, float], missed: tuple[str, ...]) -> None:
+    gate = scenarios.Gate(
+        rmse_percent=0.3, rmse_times_today=1.25, within_percent=88, interval_times_today=1.5, rest_percent=10
+    )
+    today = scenarios.Figures(rmse=0.2, within=99.0, interval=4.0, sd=1.0, rest=0.05)
+    row = scenarios.Row("", "", gate, today, None, quick=False)
+    assert scenarios.misses(row, replace(today, **change)) == missed
+
+
+@given(st.floats(0.1, 10.0), st.floats(1.05, 3.0), st.booleans())
+def test_the_interval_score_is_least_for_the_deviation_that_is_true(std: float, factor: float, wide: bool) -> None:
+    """Of normal errors; the least lies where the interval has 95 %, which is 1.96 deviations to a side."""
+    error = std * np.asarray(norm.ppf((np.arange(20_000) + 0.5) / 20_000))
+    stated = np.full_like(error, 1.96 / 2.0 * std)
+    assert interval_score(error, stated) < interval_score(error, stated * (factor if wide else 1.0 / factor))
+
+
+def test_a_cell_that_the_converter_cannot_tell_from_an_open_one_reads_infinite() -> None:
+    played = scenes.play(scenes.Scene("rest", "fsr", noise_mv=0.0))
+    assert np.isinf(played.ohms).all()
+
+
+def test_rows_are_chosen_by_name_and_gate(capsys: pytest.CaptureFixture[str]) -> None:
+    assert {row.gate for row in scenarios.rows("vibration")} >= {"hard"}
+    assert run(["bench", "--scenarios", "--only", "rest | contact", "--json"]) == 0
+    (verdict,) = json.loads(capsys.readouterr().out)
+    assert verdict["name"] == "rest | contact, 100 Hz, 12 bits, 1 mV"
+    assert verdict["limits"]["within"] == 88.0
+    assert run(["bench", "--scenarios", "--only", "no such row"]) == 2
+    assert run(["bench", "--scenarios", "--estimator", "ohmskin.cell:nobody"]) == 2

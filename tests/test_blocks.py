@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+import cProfile
 import itertools
+import pstats
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
 import pytest
+from boards import DESIGN, Wire, described, frame, lossless, scene
+from designs import digitised
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ohmskin.bench import scenes
+from ohmskin.bench._driver import APART_S, design, every_frame, packets_of, port_of, pressed
 from ohmskin.cell import Cell, ContactModel, Estimator, M10Model
+from ohmskin.circuits import Reason, adc_codes, scan
 from ohmskin.common.arrays import FloatArray
-from ohmskin.common.measurement import FIELDS, Measurement
-from ohmskin.errors import InputError
+from ohmskin.common.measurement import CONDUCTANCE, FIELDS, Measurement
+from ohmskin.driver import Calibration, CountReader, Frame, Skin
+from ohmskin.driver._estimate import Estimate
+from ohmskin.driver._rest import Rest
+from ohmskin.emulator import Board
+from ohmskin.errors import InputError, ProtocolError
 
 SHAPE, FRAMES = (3, 2), 90
 EXAMPLE = Cell.example()
@@ -96,13 +108,13 @@ def test_measurements_in_blocks_give_what_they_give_one_by_one(kind: str, name: 
     """With noise and steps that columns share, and readings of which only bounds are known."""
     elapsed_s, ohm = stream(kind, seed)
     draw, blocks = np.random.default_rng(seed + 1), np.empty((FRAMES, FIELDS, *SHAPE))
-    for frame in range(FRAMES):
+    for number in range(FRAMES):
         with np.errstate(divide="ignore"):
-            conductance = np.where(np.isnan(ohm[frame]), np.nan, 1.0 / ohm[frame])
+            conductance = np.where(np.isnan(ohm[number]), np.nan, 1.0 / ohm[number])
         conductance[np.isinf(conductance)] = np.nan
         size = np.nan_to_num(conductance)
         limited = draw.random(SHAPE) < 0.05
-        blocks[frame] = Measurement.of(
+        blocks[number] = Measurement.of(
             conductance=np.where(limited, np.nan, conductance),
             noise_variance=(1e-3 * size) ** 2,
             column_std=1e-3 * size,
@@ -133,3 +145,145 @@ def test_a_block_whose_time_stands_is_refused_as_a_whole() -> None:
     with pytest.raises(InputError, match="shape"):
         estimator.run([0.01, 0.01], ohm)
     assert all(np.array_equal(value, estimator.state()[part], equal_nan=True) for part, value in before.items())
+
+
+# A skin gives the same frames, bit for bit, however many are taken and converted at once
+
+
+BLOCK_FRAMES = 110
+PRESSES = [
+    {"cells": [[1, 1], [2, 1]], "load_kpa": [[0.0, 0.0], [0.2, 0.0], [0.25, 15.5], [0.9, 15.5], [0.95, 0.0]]},
+    {"cells": [[0, 0]], "load_kpa": [[0.0, 0.0], [0.5, 0.0], [0.55, 9.0], [1.1, 9.0], [1.15, 0.0]]},
+]
+
+
+def board(**readout: float) -> Board:
+    table = {"design": DESIGN | {"readout": DESIGN["readout"] | readout}, "spread": {"rest_percent": 2.0, "seed": 11}}
+    return Board(scene(skin=table, board={"frame_rate": 100.0, "noise": 5e-4}, contact=PRESSES))
+
+
+def taken(readout: dict[str, float], sizes: list[int], tare_at: int, contacts_from: int) -> list[Frame]:
+    """Frames that are taken in such numbers, with a tare in between; contacts are asked for from a number on."""
+    frames: list[Frame] = []
+    with lossless(Wire(board(**readout)), queue=400) as skin:
+        for size in itertools.cycle(sizes):
+            if len(frames) == tare_at:
+                skin.tare(5, force=True)
+            wanted = min(size, (tare_at if len(frames) < tare_at else BLOCK_FRAMES) - len(frames))
+            block = [skin.read()] if wanted == 1 else skin.read_many(wanted)
+            assert 1 <= len(block) <= wanted
+            frames += block
+            for each in frames[max(len(frames) - len(block), contacts_from) :]:
+                assert each.contacts is not None
+            if len(frames) == BLOCK_FRAMES:
+                return frames
+    raise AssertionError
+
+
+@pytest.mark.parametrize("readout", [{}, {"reference_resistance": 33.2e3}], ids=["plain", "with cells at a limit"])
+@given(sizes=st.lists(st.integers(1, 60), min_size=1, max_size=5), tare_at=st.integers(1, 90))
+@settings(max_examples=3, deadline=None)
+def test_frames_taken_together_are_those_taken_one_by_one(
+    readout: dict[str, float], sizes: list[int], tare_at: int
+) -> None:
+    for one, many in zip(taken(readout, [1], tare_at, 40), taken(readout, sizes, tare_at, 40), strict=True):
+        expected, found = one.as_dict(), many.as_dict()
+        for name in set(expected) - {"age", "host_time", "monotonic_time"}:
+            np.testing.assert_array_equal(found[name], expected[name], name)
+        assert one.contacts == many.contacts
+
+
+def outcomes(take: Callable[[Skin], list[Frame]], spoilt: set[int]) -> list[int | str]:
+    """Numbers of the frames that a reader gets, and errors in between; counts of ``spoilt`` frames fit no converter."""
+    pieces = [frame(number, level=5000 if number in spoilt else 2000) for number in range(40)]
+    seen: list[int | str] = []
+    with lossless(described(*pieces), queue=60) as skin:
+        while len(seen) < 40:
+            try:
+                seen += [each.sequence or 0 for each in take(skin)]
+            except ProtocolError as error:
+                seen.append(str(error))
+    return seen
+
+
+@given(spoilt=st.sets(st.integers(0, 39), max_size=8), most=st.integers(2, 50))
+@settings(max_examples=6, deadline=None)
+def test_frames_that_do_not_fit_are_reported_where_they_came(spoilt: set[int], most: int) -> None:
+    one_by_one = outcomes(lambda skin: [skin.read()], spoilt)
+    assert outcomes(lambda skin: skin.read_many(most), spoilt) == one_by_one
+    assert [number for number in one_by_one if not isinstance(number, str)] == sorted(set(range(40)) - spoilt)
+
+
+@pytest.mark.parametrize("kind", ["example", "fsr"])
+def test_an_estimate_is_the_estimator_s_of_what_was_measured_with_each_cell_s_gain(kind: str) -> None:
+    """Of one frame and of several; without a current a cell that is open at rest bears no load; nothing is changed."""
+    cell, random, frames = scenes.cells()[kind], np.random.default_rng(3), 30
+    kpa = np.abs(np.cumsum(random.normal(0.0, 0.05, (frames, 3, 2)), axis=0)) * cell.full_scale_kpa
+    conductance = 1.0 / cell.forward((3, 2)).run(np.full(frames, 0.02), kpa)
+    measured = [Measurement.of(conductance=each, noise_variance=(1e-3 * each) ** 2) for each in conductance]
+    for each in measured:
+        each.reason[:] = 0
+        each.reason[2, 1], each.conductance[2, 1] = Reason.NO_CURRENT, np.nan
+    gain, ones = np.linspace(0.8, 1.3, 6).reshape(3, 2), np.ones((3, 2))
+    given = {"rest_ohm": cell.rest_resistance_ohm * ones, "gain": gain, "gain_std": 0.1 * ones, "rest_std_kpa": ones}
+    kept = {"residual_kpa": ones, "calibrated": ones > 0.0, "loads_kpa": (1.0,), "presses": 1, "serial_number": ""}
+    calibration = Calibration(**given, **kept, design_hash="", cell_hash="", date="")  # type: ignore[arg-type]
+    rest, dt_s = Rest(cell, calibration), np.full(frames, 0.02)
+    estimator = cell.estimator((3, 2), rest_resistance_ohm=rest.ohm, rest_error=rest.error)
+    blocks = np.stack([each.block for each in measured])
+    before = blocks.copy()
+    if cell.open_at_rest:
+        blocks[:, CONDUCTANCE, 2, 1] = 0.0
+    pressure, std = estimator.run_measured(dt_s, blocks)
+    estimate = Estimate(cell, (3, 2), None, rest, calibration)
+    taken = [estimate.take(dt_s[a:b].tolist(), measured[a:b]) for a, b in itertools.pairwise([0, 1, 2, 12, 13, frames])]
+    found, spread = (np.concatenate(parts) for parts in zip(*taken, strict=True))
+    np.testing.assert_allclose(found, gain * pressure)
+    np.testing.assert_allclose(spread, np.sqrt((gain * std) ** 2 + (0.1 * gain * pressure) ** 2 + 1.0))
+    assert np.isfinite(found[1:, 2, 1]).all() == cell.open_at_rest
+    np.testing.assert_array_equal([each.block for each in measured], before)
+
+
+# What a usual frame costs is counted in calls of Python, which do not depend on the machine or its load
+
+
+WARM, COUNTED = 120, 60
+
+
+def calls(take: Callable[[int], object]) -> float:
+    """Calls for each frame of the last ones, profiled, after :data:`WARM` others."""
+    for number in range(WARM):
+        take(number)
+    profile = cProfile.Profile()
+    profile.enable()
+    for number in range(WARM, WARM + COUNTED):
+        take(number)
+    profile.disable()
+    return pstats.Stats(profile).total_calls / COUNTED  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("kind", ["grounded", "divider", "loaded"])
+def test_counts_become_a_measurement_in_a_few_calls(kind: str) -> None:
+    board, draw = digitised(kind, 8, 8, 12, array={"row_lead": 5.0}), np.random.default_rng(0)
+    assert board.adc is not None
+    volts = scan(board, np.full((8, 8), 8e3)).volts
+    frames = [adc_codes(board, volts + draw.normal(scale=board.adc.step, size=(8, 8))) for _ in range(WARM + COUNTED)]
+    read = CountReader(board)
+    assert calls(lambda frame: read(frames[frame])) <= 20
+
+
+def test_bytes_become_a_frame_in_a_bounded_number_of_calls() -> None:
+    """Under five fingers, with standard deviations."""
+    board = design(8, "inverting-amplifier", "ground", 12)
+    _, cells = pressed(board.array.shape, WARM + COUNTED)
+    port = port_of(packets_of(board, cells), board)
+    with every_frame(port, board, Cell.example(), None) as skin:
+
+        def take(_: int) -> None:
+            port.work(APART_S)
+            assert skin.read(0.0).pressure_std.shape == (8, 8)
+
+        assert calls(take) <= MOST_CALLS
+
+
+MOST_CALLS = 140

@@ -8,17 +8,22 @@ import pickle
 from collections.abc import Callable
 from typing import Any
 
+import cells
 import numpy as np
 import pytest
-from cells import EXAMPLE, exactly
+from boards import DESIGN, Wire, lossless, scene
+from cells import DT, EXAMPLE, FULL, exactly
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin.bench import scenarios, scenes
-from ohmskin.cell import Cell, ContactModel, Estimator
+from ohmskin.cell import Cell, ContactModel, Estimator, estimate_recording
+from ohmskin.cell._cell import Calibrated
+from ohmskin.cell.inversions import Limits, StaticCurve
 from ohmskin.common import compiled
 from ohmskin.common.arrays import FloatArray
 from ohmskin.common.measurement import Measurement
+from ohmskin.emulator import Board
 from ohmskin.errors import InputError
 
 DT_S = 0.01
@@ -252,7 +257,8 @@ def test_contacts_of_different_rest_resistance_show_the_same_pressure(
     shape = (len(rest_ohm),)
     forward = cell.forward(shape, rest_resistance_ohm=rest_ohm)
     estimator = cell.estimator(shape, rest_resistance_ohm=rest_ohm, noise=0)
-    found = estimator.step(0.01, forward.step(0.01, np.full(shape, pressure)))
+    for _ in range(2):  # in the first frame a deviation of some tenths of a kPa is stated
+        found = estimator.step(0.01, forward.step(0.01, np.full(shape, pressure)))
     np.testing.assert_allclose(found, pressure, rtol=2e-3, atol=0.01)
 
 
@@ -413,3 +419,242 @@ def test_a_cell_of_a_contact_mat_that_is_not_read_may_bear_any_load_after_a_seco
     assert max(stated[:21]) < 0.01  # while it is read, and just after
     assert stated[-1] > 0.25
     assert (np.diff(stated[20:]) > -1e-9).all()
+
+
+# What only shows after long: a week of samples, an hour's load, gaps in the readings. Every estimator stands it
+
+
+def _unknown() -> Cell:
+    return cells.unknown().found.cell
+
+
+def _paper() -> Cell:
+    return cells.paper().cell
+
+
+EVERY_S = pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (_unknown, "static"),
+        (_unknown, "distilled"),
+        (_paper, "paper"),
+        (_paper, "inverse"),
+    ],
+)
+
+
+@EVERY_S
+def test_a_week_at_rest_leaves_no_drift(make: Callable[[], Cell], name: str) -> None:
+    """Noise at rest, every ten minutes for a week: no trend, and a press after it is answered as on the first day."""
+    cell = make()
+    rest = cell.rest_resistance_ohm
+    rng = np.random.default_rng(5)
+    estimator = cell.estimator((50,), name)
+    days = []
+    for _ in range(1008):
+        noisy = rest * (1 + 0.001 * rng.standard_normal(50))
+        days.append(float(np.mean(estimator.step(600.0, noisy))))
+    means = np.reshape(days, (7, -1)).mean(axis=1)
+    # What a learned estimator shows at R0 ends when the cells sleep, within the first day, and is stated.
+    assert np.ptp(means[1:]) < 0.02 * FULL
+    fresh = cell.estimator((50,), name)
+    learned = float(np.abs(fresh.step(DT, np.full(50, rest))).max())
+    assert learned <= 2 * float(fresh.std_kpa.max(initial=0.0, where=np.isfinite(fresh.std_kpa))) + 1e-9
+    press = rest * (1 + 0.5 * np.sin(np.linspace(0, np.pi, 200)) ** 2)
+    for one in (estimator, fresh):  # at rest as often as the presses, so that both know the noise alike
+        for _ in range(600):
+            one.step(DT, rest * (1 + 0.001 * rng.standard_normal(50)))
+    for reading in press:
+        late, first = (one.step(DT, np.full(50, reading)) for one in (estimator, fresh))
+        # Of two cells at rest one may sleep already, and shows no load then.
+        stated = 3 * np.hypot(estimator.std_kpa, fresh.std_kpa)
+        assert (np.abs(late - first) <= np.maximum(0.05 * FULL + learned, stated)).all()
+
+
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_a_contact_has_no_doubt_about_a_gap_once_it_is_read_again(calibrated: bool) -> None:
+    """It has no memory: under load, and at rest after it, the reading tells as much as if there had been no gap."""
+    model = ContactModel(full_scale_resistance_ohm=4e3)
+    cell = Cell(rest_resistance_ohm=6e4, full_scale_kpa=FULL, model=model)
+    if calibrated:
+        curve = StaticCurve(
+            readings=(-0.9, 3.0),
+            loads=(-0.333, 1.11),
+            limits=Limits(lowest=0, highest=1.2),
+            std_kpa=0.3,
+            logarithmic=True,
+        )
+        found = Calibrated(default="static", reason="", held_out_percent={"static": 1.0}, static=curve)
+        cell = cell.replace(estimators=found)
+    forward = cell.forward(())
+    estimator = cell.estimator((2,))
+    for n in range(600):
+        reading = float(forward.step(DT, 0.5 * FULL if 100 <= n < 400 else 0.0))
+        estimator.step(DT, np.array([np.nan if 90 <= n < 300 or 350 <= n < 450 else reading, reading]))
+        unseen, seen = estimator.std_kpa
+        if n in (299, 449):
+            assert unseen > 2 * seen
+        if 310 <= n < 350 or n >= 460:
+            assert unseen == pytest.approx(seen, rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["static", "distilled"])
+def test_readings_with_gaps_are_within_the_stated_error(name: str) -> None:
+    """Seconds to half a minute without a reading, over and over: nine in ten within two sd, missing ones included."""
+    of = cells.unknown()
+    rng = np.random.default_rng(7)
+    read, n = of.read.copy(), 0
+    while n < len(read):
+        n += rng.integers(50, 300)
+        gap = rng.integers(10, 300)
+        read[n : n + gap] = np.nan
+        n += gap
+    pressure, std = estimate_recording(of.found.cell.estimator((), name), of.time, read)
+    assert std is not None
+    off = np.abs(pressure - FULL * of.load)[of.learned :]
+    assert np.mean(off < 2 * std[of.learned :]) > 0.9
+    missing = np.isnan(read[of.learned :])
+    assert np.mean((off < 2 * std[of.learned :])[missing]) > 0.85
+
+
+@pytest.mark.parametrize("name", ["static", "distilled"])
+def test_a_bad_contact_of_a_calibrated_cell_is_over_when_it_is_over(name: str) -> None:
+    """60 ms at three times the resistance, under load and at rest: what the cell remembers is put back."""
+    cell, dt = cells.unknown().found.cell, 0.02
+    time = np.arange(0, 12, dt)
+    r = np.interp(time, [0, 1, 3, 7, 7.5], [0.0, 0.0, 0.1, 0.1, 0.0])
+    rng = np.random.default_rng(0)
+    read = cell.rest_resistance_ohm * (1 + r) * (1 + 1e-3 * rng.standard_normal(len(time)))
+    during = (np.abs(time[:, None] - [5.02, 11.02]) < 1.5 * dt).any(axis=1)
+    assert np.count_nonzero(during) == 6
+    clean, sparked = cell.estimator((), name), cell.estimator((), name)
+    off = np.zeros(len(time))
+    for n, ohm in enumerate(read):
+        off[n] = sparked.step(dt, 3.0 * ohm if during[n] else ohm) - clean.step(dt, ohm)
+    assert np.abs(off[~during]).max() < 0.03 * FULL
+
+
+# Readings at a limit of the converter are intervals: they tell what they exclude, and no more
+
+
+RANGE_KPA, FULL_OHM = 50.0, 1000.0
+SENSOR = Cell(
+    rest_resistance_ohm=1e8,
+    full_scale_kpa=RANGE_KPA,
+    model=ContactModel(full_scale_resistance_ohm=FULL_OHM),
+)
+"""a force-sensing resistor: open at rest, and its conductance is proportional to the load"""
+
+
+def read(siemens: float, least: float, greatest: float, step: float = 1e-6) -> Measurement:
+    """One cell: ``siemens`` in the middle of a step, or NaN where only bounds are known."""
+    known = np.isfinite(siemens)
+    half = 0.5 * step if known else 0.0
+    one = np.ones(1)
+    return Measurement.of(
+        conductance=siemens * one,
+        noise_variance=1e-16 * known * one,
+        half_step=half * one,
+        least=least * one,
+        greatest=greatest * one,
+    )
+
+
+@given(st.floats(1e-7, 1e-4), st.booleans())
+def test_a_reading_below_a_step_bears_no_load_to_within_that_step(step: float, fresh: bool) -> None:
+    """What is shown is less than the load that would read as a step."""
+    estimator = SENSOR.estimator((1,))
+    load_kpa = step * FULL_OHM * RANGE_KPA
+    frames = 0 if fresh else 60
+    for n in range(frames):
+        press = 20 <= n < 40
+        told = (400 * step, 399.5 * step, 400.5 * step) if press else (np.nan, 0.0, step)
+        pressure = estimator.update(0.02, read(*told, step))
+        if press and n > 35:
+            assert pressure[0] == pytest.approx(min(400 * load_kpa, 3 * RANGE_KPA), rel=0.05)
+    for _ in range(20):
+        pressure = estimator.update(0.02, read(np.nan, 0.0, step, step))
+    assert pressure[0] < load_kpa
+
+
+def test_a_reading_at_the_upper_limit_is_at_least_the_load_of_the_limit() -> None:
+    estimator = SENSOR.estimator((1,))
+    for n in range(60):
+        told = (np.nan, 0.6 / FULL_OHM, np.inf) if n > 20 else (np.nan, 0.0, 1e-6)
+        pressure = estimator.update(0.02, read(*told))
+    assert 0.6 * RANGE_KPA < pressure[0] < 1.1 * RANGE_KPA
+    assert pressure[0] + 2.5 * estimator.std_kpa[0] > RANGE_KPA
+    assert pressure[0] - 2.5 * estimator.std_kpa[0] < 0.7 * RANGE_KPA
+
+
+def test_a_cell_whose_resistance_rises_has_its_load_bounded_from_above() -> None:
+    """It reads a conductance beyond the converter's range: less load than that of the limit. No current: nothing."""
+    cell = Cell.example()
+    rest = 1.0 / cell.rest_resistance_ohm
+    estimator = cell.estimator((1,))
+    assert np.isnan(estimator.update(0.02, read(np.nan, 0.0, 0.1 * rest))).all()
+    for _ in range(20):
+        pressure = estimator.update(0.02, read(np.nan, 0.8 * rest, np.inf))
+    assert pressure[0] == 0.0
+    assert estimator.std_kpa[0] > 0.1 * cell.full_scale_kpa
+
+
+def test_the_memory_of_a_load_beyond_the_range_is_in_doubt_after_its_release() -> None:
+    """The inverse has followed the least load of the interval, so that the cell recovers from more than it knows."""
+    cell = Cell.example().replace(log_span=2.0)  # its resistance falls
+    estimator, random = cell.estimator((1,)), np.random.default_rng(1)
+    load = 0.9 * cell.full_scale_kpa * np.interp(np.arange(400.0), [80, 84, 240, 244], [0, 1, 1, 0])
+    siemens = 1.0 / cell.forward(()).run(np.full(400, 0.0125), load)
+    step, most = siemens.max() / 1000, 0.5 * siemens.max()
+    errors = []
+    for truth, kpa in zip(siemens, load, strict=True):
+        near = step * np.round(truth / step + 0.2 * random.standard_normal())
+        told = (near, near - step / 2, near + step / 2) if near < most else (np.nan, most, np.inf)
+        errors.append(abs(estimator.update(0.0125, read(*told, step))[0] - kpa) / estimator.std_kpa[0])
+    assert np.mean(np.array(errors[40:]) < 2.5) > 0.9
+
+
+def test_without_current_a_contact_is_at_rest_and_another_cell_is_not_read() -> None:
+    contact, silicone = SENSOR.estimator(()), Cell.example().estimator(())
+    for n in range(60):
+        pressure = contact.step(0.02, 2500.0 if 20 <= n < 40 else np.inf)
+        shown = silicone.step(0.02, np.inf if n > 30 else 10e3)
+    assert pressure == 0.0
+    assert contact.std_kpa < 0.02 * RANGE_KPA
+    assert shown == 0.0
+    assert silicone.std_kpa > 0.02 * Cell.example().full_scale_kpa
+
+
+@given(st.floats(1.5, 1e4))
+def test_a_contact_that_conducts_at_rest_is_not_connected_where_it_reads_no_current(factor: float) -> None:
+    """Its load stays as it was. Intervals say the same where they exclude its rest resistance."""
+    cell = SENSOR.replace(rest_resistance_ohm=5.0 * FULL_OHM)
+    estimator, other = cell.estimator(()), cell.estimator((1,))
+    bound = 1.0 / (cell.rest_resistance_ohm * factor)
+    for n in range(50):
+        pressed = 1.0 / (1.0 / cell.rest_resistance_ohm + 0.4 / FULL_OHM)
+        pressure = estimator.step(0.02, pressed if n < 40 else np.inf)
+        told = (1.0 / pressed, 0.99 / pressed, 1.01 / pressed) if n < 40 else (np.nan, 0.0, bound)
+        bounded = other.update(0.02, read(*told))
+    assert pressure == pytest.approx(0.4 * RANGE_KPA, rel=1e-3)
+    assert bounded[0] == pytest.approx(0.4 * RANGE_KPA, rel=1e-3)
+    assert estimator.std_kpa > 0.01 * RANGE_KPA
+
+
+def test_readings_of_another_shape_are_refused() -> None:
+    with pytest.raises(InputError, match="conductance has shape"):
+        SENSOR.estimator((2,)).update(0.02, read(1e-4, 1e-4, 1e-4))
+
+
+def test_a_mat_that_is_open_at_rest_is_tared_and_comes_back_to_no_load() -> None:
+    """Counts of 0 at rest; a press of 3 kPa in between."""
+    press = {"cells": [[2, 1]], "load_kpa": [[0.0, 0.0], [1.0, 0.0], [1.05, 3.0], [2.0, 3.0], [2.01, 0.0]]}
+    mat = scene(skin={"design": DESIGN, "cell": SENSOR.model_dump()}, contact=[press])
+    with lossless(Wire(Board(mat)), cell=SENSOR) as skin:
+        tare = skin.tare(20)
+        assert tare.remarks == ()
+        frames = [skin.read() for _ in range(260)]
+    shown = np.array([frame.pressure for frame in frames])
+    assert np.nanmax(shown[:, 2, 1]) == pytest.approx(3.0, rel=0.05)
+    np.testing.assert_array_equal(shown[-20:], 0.0)
+    assert np.isfinite(shown).all()

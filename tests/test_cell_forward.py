@@ -1,5 +1,7 @@
 """Forward models against the paper's transfer functions, and their exactness in the time step."""
 
+from __future__ import annotations
+
 import mpmath
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import signal
 from scipy.integrate import solve_ivp
 
-from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel, Percolation, drifted_rest_resistance
 from ohmskin.cell.materials import lag
 from ohmskin.cell.materials._forward import M10_PARAMETERS
 from ohmskin.cell.materials._simulate import m10, paper
@@ -251,3 +253,144 @@ def test_a_simulation_of_many_cells_is_the_forward_model_of_each(kind: str, load
     found = [settled, *(float(forward.step(dt, FULL * level)) for level in load[1:])]
     assert simulated[:, 0] == pytest.approx(np.array(found) / cell.rest_resistance_ohm - 1, abs=1e-7)
     assert load.max() < 0.01 or np.abs(simulated[:, 1] - simulated[:, 0]).max() > 0
+
+
+# Whole histories at once: the same as step by step, however the history is cut, and for some of the cells only
+
+
+PAPER_CELL = Cell.example()
+KINDS_OF_CELLS = {
+    "paper": PAPER_CELL,
+    "asymmetric": PAPER_CELL.replace(
+        model=AsymmetricModel(e1_kpa=30.0, e2_kpa=60.0, e3_kpa=400.0, eta2_kpa_s=500.0, eta3_kpa_s=48e3)
+    ),
+    "m10": PAPER_CELL.replace(
+        model=M10Model(a=0.2, b=-0.1, alpha1=0.5, rise1_s=0.3, fall1_s=4.0, alpha2=0.1, fall2_s=90.0, k=0.2)
+    ),
+    "contact": PAPER_CELL.replace(model=ContactModel(full_scale_resistance_ohm=500.0, exponent=0.9)),
+}
+FRAMES, SHAPE = 60, (2, 3)
+
+
+def history(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Steps, holds, ramps and gaps: (frames,) dt_s and (frames, 2, 3) kPa."""
+    random = np.random.default_rng(seed)
+    levels = random.integers(0, 4, (FRAMES, *SHAPE)) * 4.0
+    held = random.random((FRAMES, *SHAPE)) < 0.5
+    pressure = levels * ~held + np.roll(levels, 1, axis=0) * held
+    pressure[random.random(FRAMES) < 0.3] = 0.0
+    return random.choice([0.0, 0.01, 0.01, 0.5, 30.0], FRAMES), pressure
+
+
+@pytest.mark.parametrize("kind", KINDS_OF_CELLS)
+@settings(max_examples=20)
+@given(seed=st.integers(0, 10_000), cut=st.integers(0, FRAMES))
+def test_a_history_at_once_is_the_history_step_by_step(kind: str, seed: int, cut: int) -> None:
+    dt, pressure = history(seed)
+    rest = np.random.default_rng(seed).uniform(5e3, 2e4, SHAPE)
+    stepped, run = (KINDS_OF_CELLS[kind].forward(SHAPE, rest_resistance_ohm=rest) for _ in range(2))
+    expected = np.array([stepped.step(*step) for step in zip(dt, pressure, strict=True)])
+    found = np.concatenate([run.run(dt[:cut], pressure[:cut]), run.run(dt[cut:], pressure[cut:])])
+    np.testing.assert_allclose(found, expected, rtol=1e-11)
+    # The memory is the same as well: both go on alike.
+    np.testing.assert_allclose(run.step(1.0, 5.0), stepped.step(1.0, 5.0), rtol=1e-11)
+
+
+@pytest.mark.parametrize("kind", KINDS_OF_CELLS)
+def test_cutting_a_history_changes_no_bit(kind: str) -> None:
+    dt, pressure = history(3)
+    whole, cut = (KINDS_OF_CELLS[kind].forward(SHAPE) for _ in range(2))
+    pieces = [cut.run(dt[k : k + 7], pressure[k : k + 7]) for k in range(0, FRAMES, 7)]
+    np.testing.assert_array_equal(np.concatenate(pieces), whole.run(dt, pressure))
+
+
+@pytest.mark.parametrize("kind", KINDS_OF_CELLS)
+def test_some_of_the_cells_live_while_the_others_stay(kind: str) -> None:
+    dt, pressure = history(5)
+    cells = np.array([1, 3, 4])
+    pressure.reshape(FRAMES, -1)[:, [0, 2, 5]] = 0.0
+    everything, some = (KINDS_OF_CELLS[kind].forward(SHAPE) for _ in range(2))
+    expected = everything.run(dt, pressure).reshape(FRAMES, -1)
+    found = some.run(dt, pressure.reshape(FRAMES, -1)[:, cells], cells)
+    np.testing.assert_array_equal(found, expected[:, cells])
+    assert (expected[:, [0, 2, 5]] == KINDS_OF_CELLS[kind].forward(SHAPE).step(0.0, 0.0).flat[0]).all()
+    np.testing.assert_array_equal(some.step(0.5, 3.0), everything.step(0.5, 3.0))
+
+
+@pytest.mark.parametrize("kind", KINDS_OF_CELLS)
+def test_cells_come_to_rest_once_they_have_forgotten(kind: str) -> None:
+    cells = np.arange(6)
+    skin = KINDS_OF_CELLS[kind].forward(SHAPE)
+    press = np.array([9.0, 0.0, 2.0, 0.0, 0.0, 15.0])
+    skin.run([0.0, 1.0], np.stack([press, press]), cells)
+    assert skin.put_to_rest(cells, 1e-6).tolist() == [False, True, False, True, True, False]
+    skin.run([0.0, 1e-9], np.zeros((2, 6)), cells)
+    if kind != "contact":
+        assert not skin.put_to_rest(cells, 1e-6)[0]
+    skin.run([1e4], np.zeros((1, 6)), cells)
+    assert skin.put_to_rest(cells, 1e-6).all()
+    fresh = KINDS_OF_CELLS[kind].forward(SHAPE)
+    dt, pressure = history(8)
+    np.testing.assert_array_equal(skin.run(dt, pressure), fresh.run(dt, pressure))
+
+
+@pytest.mark.parametrize(
+    ("dt", "pressure"),
+    [([-1.0], [[1.0]]), ([np.inf], [[1.0]]), ([1.0], [[np.nan]]), ([1.0, 1.0], [[1.0]]), ([1.0], [[1.0, 2.0]])],
+)
+def test_a_history_that_cannot_be_is_refused(dt: list[float], pressure: list[list[float]]) -> None:
+    with pytest.raises(InputError, match=r"time steps|finite|shape"):
+        PAPER_CELL.forward((1,)).run(dt, pressure)
+
+
+# The percolation law: its power, its pole, and the known cell on it; temperature and age; held loads
+
+
+LAW = Percolation(fraction=0.015, rest_resistance_ohm=10e3, sensitivity=0.775)
+
+
+def test_the_known_cell_is_on_the_curve() -> None:
+    assert LAW.rest_resistance(0.015) == pytest.approx(10e3, rel=1e-14)
+    assert LAW.sensitivities(0.015) == pytest.approx(0.775, rel=1e-12)
+    assert LAW.resistance(0.015, 0.0) == pytest.approx(10e3, rel=1e-14)
+
+
+def test_conduction_is_a_power_of_the_distance_to_the_threshold() -> None:
+    fractions = np.geomspace(0.008, 0.3, 30)
+    slope = np.polyfit(np.log(fractions - 0.006), np.log(LAW.rest_resistance(fractions)), 1)[0]
+    assert slope == pytest.approx(-2.0, rel=1e-12)
+
+
+@given(st.floats(0.0111, 0.2), st.floats(1.001, 1.5))
+def test_resistance_and_sensitivity_rise_as_the_fraction_falls(fraction: float, ratio: float) -> None:
+    assert LAW.rest_resistance(fraction) > LAW.rest_resistance(fraction * ratio)
+    assert LAW.sensitivities(fraction) > LAW.sensitivities(fraction * ratio) > 0
+
+
+def test_at_the_threshold_nothing_conducts() -> None:
+    assert np.isinf(LAW.rest_resistance([0.006, 0.001])).all()
+    assert np.isinf(LAW.sensitivities([0.006, 0.0065])).all()
+
+
+@pytest.mark.parametrize("wrong", [{"fraction": 0.005}, {"sensitivity": 0.0}, {"exponent": -1.0}])
+def test_bad_families_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError):
+        Percolation(**{"fraction": 0.015, "rest_resistance_ohm": 10e3, "sensitivity": 0.775} | wrong)
+
+
+def test_the_equilibrium_of_a_cell_is_what_its_forward_model_settles_to() -> None:
+    cell = Cell.example()
+    contact = cell.replace(model=ContactModel(exponent=0.9, full_scale_resistance_ohm=500))
+    for kind in (cell, contact, cell.replace(log_span=2.0)):
+        forward = kind.forward(())
+        forward.step(1.0, 0.7 * kind.full_scale_kpa)
+        settled = float(forward.step(1e6, 0.7 * kind.full_scale_kpa))
+        assert float(kind.equilibrium_ohm(0.7)) == pytest.approx(settled, rel=1e-9)
+        assert kind.falls == (settled < kind.rest_resistance_ohm)
+
+
+def test_temperature_and_age_move_the_rest_resistance() -> None:
+    assert drifted_rest_resistance(1e4, temperature_change_c=1.0) == pytest.approx(1.07e4)
+    warm = drifted_rest_resistance(1e4, temperature_change_c=3.0)
+    assert drifted_rest_resistance(warm, temperature_change_c=-3.0) == pytest.approx(1e4)
+    assert drifted_rest_resistance(1e4, age_s=9 * 3600, per_decade=0.05) == pytest.approx(1.05e4)

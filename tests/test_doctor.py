@@ -16,6 +16,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from formats import FORMATS, judged
 from numpy.typing import NDArray
 
 from ohmskin.cli import run
@@ -415,3 +416,15 @@ def test_the_exit_code_tells_of_problems(capsys: pytest.CaptureFixture[str]) -> 
     ):
         assert run(["doctor", port]) == 3
         assert found in capsys.readouterr().out
+
+
+# Drafts of boards' formats (:mod:`formats`): none wrong without a question, and time and number taken over
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_draft_reads_what_was_sent(name: str) -> None:
+    one = judged(FORMATS[name], baud=None)
+    assert one.outcome in ("right", "asked")
+    assert set(one.kept) >= set(FORMATS[name].keeps)
+    assert one.found is not None
+    assert (one.outcome == "right") or one.found.questions

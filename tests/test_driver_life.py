@@ -11,13 +11,17 @@ import itertools
 import multiprocessing
 import os
 import pickle
+import random
 import re
+import signal
 import socket
 import threading
+import time
 import weakref
 from collections.abc import AsyncIterator, Callable
 from itertools import islice
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -490,6 +494,9 @@ class TestWhatIsSaid:
                 skin.read(0.0)
 
 
+SECONDS = "; expected a number, in s"
+
+
 class TestNumbers:
     @pytest.mark.parametrize(
         ("options", "message"),
@@ -509,27 +516,16 @@ class TestNumbers:
             Skin(port, **options)
         assert port.closed
 
-    @pytest.mark.parametrize("age", [0.0, float("nan"), "x", None])
-    def test_no_frame_can_be_so_young(self, age: Any) -> None:
-        with Skin(described(frame(0))) as skin, pytest.raises(InputError, match=r"max_age is .*; expected"):
-            skin.latest(max_age=age)
-
-    def test_a_wait_is_a_number_of_seconds(self) -> None:
-        with Skin(described(frame(0))) as skin:
-            for wrong in (float("nan"), "3", []):
-                with pytest.raises(InputError, match=r"timeout is .*; expected a number, in s"):
-                    skin.read(wrong)  # type: ignore[arg-type]
-                with pytest.raises(InputError, match=r"timeout is .*; expected a number, in s"):
-                    skin.latest(0.1, timeout=wrong)  # type: ignore[arg-type]
-
-    @pytest.mark.parametrize("frames", [0, 2.5, "20", True])
-    def test_a_tare_takes_a_whole_number_of_frames(self, frames: Any) -> None:
-        with Skin(described(frame(0))) as skin, pytest.raises(InputError, match="expected a whole number"):
-            skin.tare(frames)
-
     @pytest.mark.parametrize(
         ("call", "message"),
         [
+            *(
+                (lambda skin, age=age: skin.latest(max_age=age), "max_age is ")
+                for age in (0.0, float("nan"), "x", None)
+            ),
+            *((lambda skin, wait=wait: skin.read(wait), SECONDS) for wait in (float("nan"), "3", [])),
+            *((lambda skin, wait=wait: skin.latest(0.1, timeout=wait), SECONDS) for wait in (float("nan"), "3", [])),
+            *((lambda skin, count=count: skin.tare(count), "a whole number") for count in (0, 2.5, "20", True)),
             (lambda skin: skin.on_frame(3), "callback is 3; expected a function"),
             (lambda skin: skin.on_bytes(None), "tap is None; expected a function"),
             (lambda skin: skin.request("start"), "order is 'start'; expected an ohmskin.wire.Order"),
@@ -550,3 +546,55 @@ class TestNumbers:
                 call(skin)
             assert "\n" not in str(caught.value)
             assert [taken.sequence for taken in skin] == [0, 1]
+
+
+# A reader that is interrupted again and again gets every frame that it is told of, and never waits for ever
+
+
+INTERRUPTS = 300
+
+
+@pytest.mark.slow
+def test_interrupts_lose_no_count_and_no_lock() -> None:
+    armed = False
+    hits = contradictions = 0
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal armed
+        if armed:
+            armed = False
+            raise KeyboardInterrupt
+
+    def pester(ended: threading.Event) -> None:
+        rng, main = random.Random(1), threading.main_thread().ident
+        assert main is not None
+        while not ended.is_set():
+            time.sleep(rng.uniform(0.0, 0.01))
+            signal.pthread_kill(main, signal.SIGUSR1)
+
+    before_handler = signal.signal(signal.SIGUSR1, interrupt)
+    ended = threading.Event()
+    pesterer = threading.Thread(target=pester, args=(ended,))
+    port = PtyPort()
+    try:
+        with running(scene(board={"frame_rate": 200.0}), port), Skin.open(port.name, delivery="every") as skin:
+            before = skin.read()
+            pesterer.start()
+            while hits < INTERRUPTS:
+                try:
+                    armed = True
+                    while True:
+                        frame = skin.read(30.0)
+                        missing = frame.sequence - before.sequence - 1
+                        contradictions += missing != frame.lost_before + frame.skipped_before
+                        before = frame
+                except KeyboardInterrupt:
+                    hits += 1
+            ended.set()
+            pesterer.join()
+            assert skin.read(30.0).sequence > before.sequence
+    finally:
+        ended.set()
+        pesterer.join()
+        signal.signal(signal.SIGUSR1, before_handler)
+    assert not contradictions

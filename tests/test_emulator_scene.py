@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -71,67 +73,70 @@ def test_the_examples_load(example: Path) -> None:
 LOAD = {"load_kpa": [[0.0, 1.0]]}
 
 
+BESIDE = "does not reach the 3 x 2 array"
+ONE_OF = "a contact has one of cells, point, disc, rectangle, bump, image; got"
+KNOWN = "unknown key '{}'; the nearest known key is '{}'"
+ADC = "an [adc] of at most 16 bits"
+REFUSED: list[tuple[str, str]] = [
+    ("skin = {}", "scene: missing key 'skin.design'"),
+    ("skin.design = 'nowhere.toml'", "nowhere.toml: cannot be read: No such file or directory"),
+    ("board.frame_rat = 5.0", "scene: " + KNOWN.format("board.frame_rat", "frame_rate")),
+    ("board.frame_rate = 0.0", "scene: board.frame_rate: input should be greater than or equal to 0.001 (got 0.0)"),
+    ("board.frame_rate = 1e-320", "board.frame_rate"),
+    ("board.contact = []", "unknown key 'board.contact'; the key belongs at the head of a table, [[contact]]"),
+    ("line.packet_loss = 1.0", "scene: line.packet_loss: input should be less than 1 (got 1.0)"),
+    ("contact = [{LOAD}]", f"scene: contact[0]: {ONE_OF} none"),
+    ("contact = [{LOAD, cells = [[0, 0]], disc = {center = [0, 0], radius_cells = 1}}]", f"{ONE_OF} cells and disc"),
+    ("contact = [{LOAD, cells = [[0, 2]]}]", "contact[0].cells: [0, 2] lies outside the 3 x 2 array"),
+    ("contact = [{LOAD, cells = [[-1, 0]]}]", "contact[0].cells[0][0]: input should be greater than or equal to 0"),
+    ("contact = [{LOAD, cells = [[0, 0]], path_mm = [[0, 0, 0]]}]", "stay where they are"),
+    ("contact = [{LOAD, disc = {center = [1, 4], radius_cells = 1.5}}]", f"its shape around row 1, column 4 {BESIDE}"),
+    ("contact = [{LOAD, disc = {center = [0, 0], radius_cells = 1e308}}]", "radius_cells"),
+    ("contact = [{LOAD, disc = {radius_cells = 1.0}}]", "needs center or center_mm"),
+    ("contact = [{LOAD, disc = {center = [0, 0], radius = 1}}]", KNOWN.format("contact[0].disc.radius", "radius_mm")),
+    ("contact = [{LOAD, point = {center = [0, 0]}, path_mm = [[0, 0, 0]]}]", "not both"),
+    (
+        "contact = [{LOAD, point = {}, path_cells = [[0, -2, 0], [1, -2, 1]]}]",
+        f"its shape around row -2, column 0 {BESIDE}, nor does its path",
+    ),
+    (
+        "contact = [{LOAD, bump = {center = [0, 0], sigma_cells = 1, path_cells = [[0, 0, 0]]}}]",
+        "unknown key 'contact[0].bump.path_cells'; the key belongs into [[contact]]",
+    ),
+    ("contact = [{LOAD, sigma_cells = 1}]", "key 'contact[0].sigma_cells'; the key belongs into [contact.bump]"),
+    ("contact = [{LOAD, image = {file = 'no.gif', center = [0, 0], size_mm = [1, 1]}}]", "'.gif'"),
+    ("contact = [{point = {center = [0, 0]}}]", "one load of load_kpa, force_n, sine, taps, recorded; got none"),
+    ("contact = [{cells = [[0, 0]], recorded = {file = 'no.csv'}}]", "no.csv: cannot be read"),
+    (
+        "contact = [{cells = [[0, 0]], load_kpa = [[1.0, 0.0], [0.5, 2.0]]}]",
+        "contact[0]: the times of load_kpa must not decrease; 0.5 s follows 1.0 s",
+    ),
+    ("contact = [{cells = [[0, 0]], load_kpa = [[0.0, -1.0]]}]", "load_kpa[0][1]: input should be greater"),
+    ("contact = [{cells = [[0, 0]], load_kpa = [[0.0, nan]]}]", "load_kpa[0][1]: input should be"),
+    ("contact = [{cells = [[0, 0]], load_kpa = []}]", "contact[0].load_kpa: list should have at least 1 item"),
+    ("event = [{at_s = 1.0, kind = 'open-cell'}]", "needs a place"),
+    ("event = [{at_s = 1.0, kind = 'open-cell', place = [3, 0]}]", "event[0].place: [3, 0] lies outside"),
+    ("event = [{at_s = 1.0, kind = 'open-cel', place = [1, 0]}]", "event[0].kind"),
+    ("event = [{at_s = 1.0, until_s = 0.5, kind = 'open-cell', place = [1, 0]}]", "is not after"),
+    ("event = [{at_s = 1.0, kind = 'supply-sag', place = [1, 0], share = 0.5}]", "has no key 'place'"),
+    ("event = [{at_s = 1.0, kind = 'bridged-rows', place = [2, 0]}]", "event[0]"),
+    ("movie.file = 'no.npz'", "no.npz: cannot be read: No such file"),
+]
+REFUSED_SKINS: list[tuple[dict[str, Any], str]] = [
+    ({"design": DESIGN | {"adc": None}}, f"scene: skin.design needs {ADC}"),
+    ({"design": DESIGN | {"adc": {"bits": 24, "range": [0.0, 1.0]}}}, ADC),
+    ({"design": DESIGN | {"array": {"row": 3, "columns": 3}}}, KNOWN.format("skin.design.array.row", "rows")),
+    ({"design": DESIGN, "drift": {"temperature_change_c": 1e3}}, "a million times"),
+    ({"design": DESIGN, "drift": {"temperature_change_c": [[0, 0], [9, 1e3]]}}, "a million times"),
+]
+
+
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
-        ({"skin": {}}, "scene: missing key 'skin.design'"),
-        ({"skin": {"design": DESIGN | {"adc": None}}}, "scene: skin.design needs an [adc] of at most 16 bits"),
-        ({"skin": {"design": DESIGN | {"adc": {"bits": 24, "range": [0.0, 1.0]}}}}, "an [adc] of at most 16 bits"),
-        ({"skin": {"design": "nowhere.toml"}}, "nowhere.toml: cannot be read: No such file or directory"),
-        (
-            {"skin": {"design": {**DESIGN, "array": {"row": 3, "columns": 3}}}},
-            "unknown key 'skin.design.array.row'; the nearest known key is 'rows'",
-        ),
-        ({"board": {"frame_rat": 5.0}}, "scene: unknown key 'board.frame_rat'; the nearest known key is 'frame_rate'"),
-        (
-            {"board": {"frame_rate": 0.0}},
-            "scene: board.frame_rate: input should be greater than or equal to 0.001 (got 0.0)",
-        ),
-        ({"line": {"packet_loss": 1.0}}, "scene: line.packet_loss: input should be less than 1 (got 1.0)"),
-        (
-            {"contact": [LOAD]},
-            "scene: contact[0]: a contact has one of cells, point, disc, rectangle, bump, image; got none",
-        ),
-        (
-            {"contact": [LOAD | {"cells": [[0, 0]], "disc": {"center": [0.0, 0.0], "radius_cells": 1.0}}]},
-            "contact[0]: a contact has one of cells, point, disc, rectangle, bump, image; got cells and disc",
-        ),
-        ({"contact": [LOAD | {"cells": [[0, 2]]}]}, "contact[0].cells: [0, 2] lies outside the 3 x 2 array"),
-        (
-            {"contact": [LOAD | {"disc": {"center": [1.0, 4.0], "radius_cells": 1.5}}]},
-            "contact[0]: its shape around row 1, column 4 does not reach the 3 x 2 array",
-        ),
-        (
-            {"contact": [LOAD | {"point": {}, "path_cells": [[0.0, -2.0, 0.0], [1.0, -2.0, 1.0]]}]},
-            "contact[0]: its shape around row -2, column 0 does not reach the 3 x 2 array, nor does its path",
-        ),
-        (
-            {"contact": [LOAD | {"cells": [[-1, 0]]}]},
-            "contact[0].cells[0][0]: input should be greater than or equal to 0",
-        ),
-        (
-            {"contact": [LOAD | {"disc": {"center": [0.0, 0.0], "radius": 1.0}}]},
-            "unknown key 'contact[0].disc.radius'; the nearest known key is 'radius_mm'",
-        ),
-        (
-            {"contact": [LOAD | {"bump": {"center": [0.0, 0.0], "sigma_cells": 1.0, "path_cells": [[0.0, 0.0, 0.0]]}}]},
-            "unknown key 'contact[0].bump.path_cells'; the key belongs into [[contact]]",
-        ),
-        (
-            {"contact": [LOAD | {"sigma_cells": 1.0}]},
-            "unknown key 'contact[0].sigma_cells'; the key belongs into [contact.bump]",
-        ),
-        (
-            {"board": {"contact": []}},
-            "unknown key 'board.contact'; the key belongs at the head of a table, [[contact]]",
-        ),
-        (
-            {"contact": [{"cells": [[0, 0]], "load_kpa": [[1.0, 0.0], [0.5, 2.0]]}]},
-            "contact[0]: the times of load_kpa must not decrease; 0.5 s follows 1.0 s",
-        ),
-        ({"contact": [{"cells": [[0, 0]], "load_kpa": [[0.0, -1.0]]}]}, "load_kpa[0][1]: input should be greater"),
-        ({"contact": [{"cells": [[0, 0]], "load_kpa": [[0.0, float("nan")]]}]}, "load_kpa[0][1]: input should be"),
-        ({"contact": [{"cells": [[0, 0]], "load_kpa": []}]}, "contact[0].load_kpa: list should have at least 1 item"),
+        *((tomllib.loads(text.replace("LOAD", "load_kpa = [[0.0, 1.0]]")), message) for text, message in REFUSED),
+        *(({"skin": skin}, message) for skin, message in REFUSED_SKINS),
+        ({"contact": [functools.reduce(lambda inner, _: {"a": inner}, range(3000), {})]}, "nested too deeply"),
     ],
 )
 def test_a_scene_that_makes_no_sense_is_refused_in_one_located_line(tables: dict[str, Any], message: str) -> None:

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
+import struct
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
+from ohmskin.common.archives import Stored, read_array, read_arrays
 from ohmskin.common.config import read_toml
 from ohmskin.common.files import check_writable, read_bytes, whole_file, write_together
 from ohmskin.common.tables import read_cells, read_columns, write_text
+from ohmskin.driver import Tare
 from ohmskin.errors import InputError, LinkError
 
 SCANNING = [sys.executable, "-m", "ohmskin", "scan", "design.toml", "--cells", "cells.csv", "-o"]
@@ -192,3 +201,222 @@ def test_recordings_as_spreadsheets_write_them(tmp_path: Path) -> None:
         file.write_text("time_s;resistance_ohm\n" + "\n".join([*rows, more]))
         with pytest.raises(InputError, match="line 22: "):
             read_columns(file, ("time_s", "resistance_ohm"))
+
+
+# Arrays of files: sized before they are unpacked, and held against what their reader says of them
+
+
+CELLS = ("rows", "columns")
+MOST = 2**20
+
+
+def npy(array: Any) -> bytes:
+    out = io.BytesIO()
+    np.save(out, array)
+    return out.getvalue()
+
+
+def header(descr: str, shape: str, data: bytes = b"") -> bytes:
+    """An array that says anything of itself."""
+    text = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}".encode()
+    text += b" " * (-(len(text) + 11) % 64) + b"\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + data
+
+
+def archive(path: Path, *, packing: int = zipfile.ZIP_DEFLATED, **members: bytes) -> Path:
+    with zipfile.ZipFile(path, "w", packing) as file:
+        for name, content in members.items():
+            file.writestr(name if "." in name else f"{name}.npy", content)
+    return path
+
+
+def read(path: Path, stored: Stored, most_bytes: int = MOST) -> Any:
+    return read_arrays(path, {"x": stored}, what="thing", most_bytes=most_bytes)["x"]
+
+
+@given(
+    arrays(
+        st.sampled_from([np.float64, np.float32, np.float16, ">f8", np.int32, np.uint8, np.bool_]),
+        st.tuples(st.integers(0, 3), st.integers(0, 3)),
+    ),
+    st.booleans(),
+    st.booleans(),
+)
+def test_what_numpy_writes_is_read(
+    tmp_path_factory: pytest.TempPathFactory, x: Any, fortran: bool, packed: bool
+) -> None:
+    path = tmp_path_factory.mktemp("a") / "x.npz"
+    (np.savez_compressed if packed else np.savez)(path, x=np.asfortranarray(x) if fortran else x)
+    found = read(path, Stored("numbers", CELLS, nan=True))
+    assert found.dtype == np.float64
+    np.testing.assert_array_equal(found, x)
+
+
+def test_text_flags_records_and_single_values_are_read(tmp_path: Path) -> None:
+    np.savez(tmp_path / "x.npz", x=np.array(["a", "bé\n"]), empty=np.array([], dtype=str), one=np.array(7), y=[True])
+    schema = {
+        "x": Stored("text", ("n",)),
+        "empty": Stored("text", ("none",)),
+        "one": Stored("whole numbers", least=0),
+        "y": Stored("flags", ("m",)),
+        "nowhere": Stored("numbers", optional=True),
+    }
+    found = read_arrays(tmp_path / "x.npz", schema, what="thing", most_bytes=MOST)
+    assert found.keys() == schema.keys() - {"nowhere"}
+    assert (found["x"].tolist(), found["empty"].tolist(), int(found["one"])) == (["a", "bé\n"], [], 7)
+    records = np.zeros(3, [("x", "<f8", (2, 2)), ("n", "<i8")])
+    records["x"] = np.arange(12).reshape(3, 2, 2)
+    np.save(tmp_path / "r.npy", records)
+    np.testing.assert_array_equal(read(tmp_path / "r.npy", Stored("numbers", ("f", *CELLS))), records["x"])
+    np.save(tmp_path / "p.npy", records["n"])
+    assert read_array(tmp_path / "p.npy", Stored("numbers", ("n",)), what="thing", most_bytes=MOST).shape == (3,)
+
+
+HUGE = "(1000000000, 10000)"
+REFUSED = [
+    ("declared", header("'<f8'", HUGE), "larger than"),
+    ("beyond all", header("'<f8'", f"({2**70}, 4)"), "larger than"),
+    ("nothing of much", header("'<f8'", f"({2**70}, 0)"), "larger than"),
+    ("nothing each", header("'<U0'", HUGE), "larger than"),
+    ("a bomb", header("'<f8'", "(1000, 1000)", bytes(8_000_000)), "larger than"),
+    ("cut off", header("'<f8'", "(4, 4)", bytes(100)), "other bytes than its header says"),
+    ("too long", header("'<f8'", "(4, 4)", bytes(200)), "other bytes than its header says"),
+    ("objects", header("'|O'", "(4, 4)", bytes(128)), "of type |O"),
+    ("records", header("[('a', '<f8')]", "(4, 4)", bytes(128)), "expected numbers (rows, columns)"),
+    ("times", header("'<M8[s]'", "(4, 4)", bytes(128)), "of type"),
+    ("complex", npy(np.ones((4, 4), complex)), "of type"),
+    ("text", npy(np.full((4, 4), "1")), "expected numbers (rows, columns)"),
+    ("a call", header("__import__('os').getcwd()", "(4, 4)", bytes(128)), "no array that can be read"),
+    ("brackets", header("'<f8'", "(" * 4000), "no array that can be read"),
+    ("minus", header("'<f8'", "-" * 9000 + "1"), "no array that can be read"),
+    ("negative", header("'<f8'", "(-4, -4)", bytes(128)), "of shape (-4, -4)"),
+    ("no number", header("'<f8'", "(True, 4)", bytes(32)), "of shape (True, 4)"),
+    ("another header", b"\x93NUMPY\x01\x00\x02\x00{}", "no array that can be read"),
+    ("a later version", b"\x93NUMPY\x09\x00", "no array that can be read"),
+    (
+        "a version that NumPy refuses",
+        npy(np.ones((4, 4))).replace(b"NUMPY\x01\x00", b"NUMPY\x01\x01"),
+        "no array that can be read",
+    ),
+    ("no header", b"hello", "no array of NumPy"),
+    ("nothing", b"", "no array of NumPy"),
+    ("one axis", npy(np.ones(4)), "expected numbers (rows, columns)"),
+    ("too much", npy(np.full((2, 2), 1e308)), "'x' is 1e+308 at [0, 0]; expected numbers from 0 to 1e+30"),
+    ("no value", npy(np.full((2, 2), np.nan)), "'x' is nan at [0, 0]"),
+    ("below", npy(np.array([[0.0, 1.0], [-1.0, 0.0]])), "'x' is -1.0 at [1, 0]"),
+]
+
+
+@pytest.mark.parametrize(("content", "message"), [case[1:] for case in REFUSED], ids=[case[0] for case in REFUSED])
+def test_what_is_not_as_the_reader_says_is_refused_in_one_line(content: bytes, message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        read(archive(tmp_path / "x.npz", x=content), Stored("numbers", CELLS, 0.0, 1e30))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_member_of_another_name_is_not_read_in_place_of_an_array(tmp_path: Path) -> None:
+    """NumPy takes a member without .npy as well, which counts of sizes by name would miss."""
+    with zipfile.ZipFile(tmp_path / "x.npz", "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("x", npy(np.zeros(2_000_000)))
+    with pytest.raises(InputError, match="has no array 'x'; expected a thing"):
+        read(tmp_path / "x.npz", Stored("numbers", ("n",)))
+
+
+def test_what_numpy_takes_for_no_archive_is_none(tmp_path: Path) -> None:
+    sound = archive(tmp_path / "x.npz", x=npy(np.ones((2, 2)))).read_bytes()
+    (tmp_path / "x.npz").write_bytes(b"," + sound)
+    with pytest.raises(InputError, match="does not begin as an archive"):
+        read(tmp_path / "x.npz", Stored("numbers", CELLS))
+
+
+@given(st.lists(st.integers(0, 255), min_size=1), st.sampled_from(["?", "u1", "i2", "u8"]))
+def test_flags_are_zeros_and_ones(tmp_path_factory: pytest.TempPathFactory, values: list[int], dtype: str) -> None:
+    """Of a boolean array, too, whose bytes in a file may be any."""
+    numbers = np.array(values, np.uint8)
+    content = header("'|b1'", f"({len(values)},)", numbers.tobytes()) if dtype == "?" else npy(numbers.astype(dtype))
+    path = archive(tmp_path_factory.mktemp("a") / "x.npz", x=content)
+    if set(values) <= {0, 1}:
+        assert read(path, Stored("flags", ("n",))).tolist() == [bool(value) for value in values]
+    else:
+        with pytest.raises(InputError, match="'x' has values other than 0 and 1; expected flags"):
+            read(path, Stored("flags", ("n",)))
+
+
+def test_axes_of_one_name_have_one_length(tmp_path: Path) -> None:
+    path = archive(tmp_path / "x.npz", x=npy(np.ones((2, 3))), y=npy(np.ones(4)))
+    with pytest.raises(InputError, match="'y' has 4 columns, and 'x' 3"):
+        read_arrays(
+            path, {"x": Stored("numbers", CELLS), "y": Stored("numbers", ("columns",))}, what="", most_bytes=MOST
+        )
+
+
+def test_archives_are_limited_and_packed_as_numpy_packs_them(tmp_path: Path) -> None:
+    stored = Stored("numbers", CELLS)
+    with pytest.raises(InputError, match="packed as NumPy packs no array"):
+        read(archive(tmp_path / "x.npz", packing=zipfile.ZIP_LZMA, x=npy(np.ones((2, 2)))), stored)
+    many = {f"m{number}.txt": b"" for number in range(20_000)}
+    with pytest.raises(InputError, match="a directory of"):
+        read(archive(tmp_path / "x.npz", x=npy(np.ones((2, 2))), **many), stored, most_bytes=2**30)
+    with pytest.raises(InputError, match="larger than 100 bytes"):
+        read(archive(tmp_path / "x.npz", x=npy(np.ones((2, 2)))), stored, most_bytes=100)
+    damaged = bytearray(archive(tmp_path / "x.npz", packing=zipfile.ZIP_STORED, x=npy(np.ones((2, 2)))).read_bytes())
+    damaged[damaged.index(struct.pack("<d", 1.0))] ^= 1
+    (tmp_path / "x.npz").write_bytes(damaged)
+    with pytest.raises(InputError, match="CRC"):
+        read(tmp_path / "x.npz", stored)
+
+
+def test_a_declared_size_takes_no_memory(tmp_path: Path) -> None:
+    """Even below the limit of the file: what is packed in so few bytes cannot be so large."""
+    path = archive(tmp_path / "x.npz", x=header("'<f8'", "(100000, 1000)"))
+    data = bytearray(path.read_bytes())
+    claimed = len(header("'<f8'", "(100000, 1000)")) + 800_000_000
+    start = data.index(b"PK\x01\x02") + 24
+    data[start : start + 4] = struct.pack("<I", claimed)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="other bytes than its header says"):
+        read(path, Stored("numbers", CELLS), most_bytes=2**31)
+
+
+GOOD: dict[str, Any] = {
+    "rest_resistance_ohm": np.full((3, 2), 1e4),
+    "measured": np.ones((3, 2), bool),
+    "std_ohm": np.ones((3, 2)),
+    "frames": np.asarray(20),
+    "lost": np.asarray(0),
+    "serial_number": np.asarray("A1"),
+    "wall_time": np.asarray(1e9),
+    "remarks": np.asarray([], dtype=np.str_),
+}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"frames": np.arange(5)},
+        {"frames": np.asarray(np.nan)},
+        {"frames": np.asarray(np.inf)},
+        {"lost": np.asarray(-(10**18))},
+        {"wall_time": np.asarray("abc")},
+        {"wall_time": np.asarray("2020-01-01", dtype="M8[s]")},
+        {"std_ohm": np.ones(3)},
+        {"std_ohm": np.full((3, 2), -1.0)},
+        {"measured": np.ones((2, 2), bool)},
+        {"remarks": np.asarray("x")},
+        {"rest_resistance_ohm": np.full((3, 2), 1 + 1j)},
+        {"rest_resistance_ohm": np.full((3, 2), "1e4")},
+        {"rest_resistance_ohm": np.full((3, 2), 1e308)},
+        {"rest_resistance_ohm": np.full((3, 2), 5e-324)},
+        {"rest_resistance_ohm": np.full((3, 2), np.nan)},
+        {"rest_counts": np.full((3, 2), -1.0)},
+        {"rest_resistance_ohm": np.ones((0, 2)), "measured": np.ones((0, 2), bool), "std_ohm": np.ones((0, 2))},
+    ],
+    ids=lambda change: f"{next(iter(change))}",
+)
+def test_a_senseless_tare_is_refused(change: dict[str, Any], tmp_path: Path) -> None:
+    np.savez(tmp_path / "tare.npz", **GOOD)
+    Tare.load(tmp_path / "tare.npz")
+    np.savez(tmp_path / "tare.npz", **{**GOOD, **change})
+    with pytest.raises(InputError, match=r"tare\.npz: "):
+        Tare.load(tmp_path / "tare.npz")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import inspect
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from boards import DESIGN, PRESS, scene
+from boards import DESIGN, PRESS, Flow, scene
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,8 +19,9 @@ from ohmskin.common.geometry import Geometry
 from ohmskin.driver import ContactTracker, Frame, JoinedSkin, Skin
 from ohmskin.driver._contacts import Touch
 from ohmskin.driver._joined import SILENT_S, Joiner, joined_geometry
-from ohmskin.emulator import PtyPort, Scene, load_scenes, running
+from ohmskin.emulator import Board, PtyPort, Scene, load_scenes, running
 from ohmskin.errors import InputError, LinkEnded, LinkError
+from ohmskin.wire import Order, host_protocol
 
 HAND = Path(__file__).parents[1] / "examples/hand/hand.toml"
 
@@ -40,16 +40,20 @@ def part(first_column: int, **more: Any) -> Scene:
     return scene(skin={"design": DESIGN | {"shape": shape}}, contact=[press], **more)
 
 
-def played(tmp_path: Path, *scenes: Scene, seconds: float = 1.0) -> list[Path]:
-    """Recordings of the boards while they live at the same time."""
+def played(tmp_path: Path, *scenes: Scene) -> list[Path]:
+    """Recordings of the boards over the same second, on a clock of their own: no load of this machine is in them."""
     files = [tmp_path / f"skin-{k}.mcap" for k in range(1, len(scenes) + 1)]
-    with ExitStack() as stack:
-        ports = [PtyPort() for _ in scenes]
-        for one, port in zip(scenes, ports, strict=True):
-            stack.enter_context(running(one, port, duration_s=seconds))
-        with Skin.open([port.name for port in ports], record=tmp_path / "skin.mcap", timeout=30.0) as skin:
-            for _ in skin:
-                pass
+    for one, file in zip(scenes, files, strict=True):
+        board, period_s = Board(one, seed=1), 1.0 / one.board.frame_rate
+        for order in (Order.IDENTIFY, Order.DESCRIBE, Order.START):
+            board.receive(host_protocol("ohmskin").request(order))
+        introduction = b"".join(board.answers())
+        packets = [b"".join(board.tick()) for _ in range(round(1.0 / period_s) + 1)]
+        port = Flow(introduction, packets.__getitem__, period_s, at_once=4096)
+        with Skin(port, delivery="every", record=file) as skin:
+            for _ in packets[1:]:
+                port.work(period_s + 1e-9)
+                skin.read()
     return files
 
 

@@ -16,10 +16,11 @@ ENDLESS = {"inverting:6120000145", "row:50000086", "loaded:30000112", "loaded:90
 
 @pytest.mark.parametrize("name", sorted({*NAMES} - ENDLESS))
 def test_streams_that_were_once_misread(name: str) -> None:
-    tally = _live_search.LiveTally()
-    _live_search.compare(name, stream(name), tally)
+    tally, read_from = _live_search.LiveTally(), stream(name)
+    _live_search.compare(name, read_from, tally)
     assert tally.findings == []
-    assert tally.valid or not name.startswith("feedback pressed")
+    # Without leads of the columns, a pressed skin reads like one of a few ohm.
+    assert tally.valid or not (name.startswith("feedback pressed") and read_from.design.array.column_lead)
 
 
 @pytest.mark.parametrize("name", sorted(ENDLESS & {*NAMES}))
@@ -31,6 +32,9 @@ def test_streams_on_which_no_iteration_comes_to_an_end_have_no_wrong_cell(name: 
 
 
 FOUND = {
+    "columns that are not read stand behind their leads": ["feedback:570000042"],
+    "cells of an ohm or less read like kiloohms": ["feedback:620000130", "feedback:550000045"],
+    "a bridge joins columns whose readings have several answers": ["multiplexed:610000138"],
     "a valley that derivatives at its middle do not show": ["loaded:30000112", "loaded:30000070", "loaded:110000049"],
     "a row beside cells below the range": ["floating:30000069", "inverting:30000015"],
     "a fit that is damped comes to its end": [

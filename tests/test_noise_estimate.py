@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
 
 from ohmskin.circuits import Design, adc_codes, scan
+from ohmskin.common.arrays import FloatArray, median
 from ohmskin.common.noise import NoiseEstimate, constant_part
 from ohmskin.driver import CountReader
 
@@ -301,3 +305,14 @@ def test_a_restored_estimate_goes_on_as_the_saved_one() -> None:
     for frame in draw.normal(size=(50, 9)):
         assert one.update(frame) == other.update(frame)
     np.testing.assert_array_equal(one.each, other.each)
+
+
+# The median of a small array
+
+
+@given(arrays(np.float64, array_shapes(max_dims=2, max_side=20), elements=st.floats(-1e150, 1e150)))
+def test_the_median_is_numpy_s_and_leaves_the_values_alone(values: FloatArray) -> None:
+    before = values.copy()
+    assert median(values) == float(np.median(values))
+    assert median(values[::-1]) == median(values)
+    np.testing.assert_array_equal(values, before)

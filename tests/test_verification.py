@@ -222,11 +222,10 @@ def test_without_ngspice_its_check_is_not_run_and_the_rest_is(monkeypatch: pytes
     def missing(*_: object) -> None:
         raise MissingExtra("no ngspice here")
 
-    monkeypatch.setattr(spice, "spice_scan", missing)
-    report = verify(only=["P13"])
-    (claim,) = report.claims
-    assert claim.outcome is Outcome.NOT_RUN
-    assert {check.outcome for check in claim.finding.checks} == {Outcome.PASS, Outcome.NOT_RUN}
+    monkeypatch.setattr(spice, "run_control", missing)
+    report = verify(only=["D6", "D19"])
+    assert [result.outcome for result in report.results] == [Outcome.PASS, Outcome.NOT_RUN]
+    assert report.results[1].why == "no ngspice here"
     assert report.exit_code == 3
 
 

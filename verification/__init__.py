@@ -26,17 +26,15 @@ Which boards are looked at:
 :mod:`._readings`        targets of settled readings; :mod:`._scale`: the unit of their errors
 :mod:`._whole_board`     targets of whole boards: settling, scan rate, stability, operating point
 :mod:`._montecarlo`      random boards, and their yield
-:mod:`._estimate`        how long all of that takes
 :mod:`._explore`         variations, their trade-off, and what would mend a requirement
 :mod:`._assumptions`     what a verdict leaves out
 :mod:`._tuning`          effort of searches and samples: all tuned numbers, with what sets them
 =======================  ==============================================================================
 
-The paper's claims (:mod:`._claims`):
+The paper's claims (:mod:`._claim`):
 
 =======================  ==============================================================================
-:mod:`._mixture`         P1
-:mod:`._material`        P2 to P9
+:mod:`._material`        P1 to P9
 :mod:`._crosstalk`       P10 to P13
 :mod:`._whole_skin`      P14
 =======================  ==============================================================================

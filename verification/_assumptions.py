@@ -5,13 +5,14 @@ The lists follow from the design. An effect that a quantity models for this circ
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from math import inf
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..circuits import Design
+from ..circuits import AmplifierModel, Design, Spread
 from ._parameters import MAXIMA
 from ._units import UNITS, engineering
 
@@ -38,6 +39,17 @@ class Assumptions:
     """keys of the design ("readout.bias_current") that are not given, and what is taken in their place"""
     exact: tuple[str, ...]
     """keys of parts whose value is given without any tolerance"""
+
+
+class Setting(NamedTuple):
+    """A line of the table of component values."""
+
+    section: str
+    key: str
+    value: str
+    spread: str
+    named: bool
+    """whether the design names it"""
 
 
 def _amplified(design: Design) -> bool:
@@ -109,6 +121,11 @@ EFFECTS = (
     ),
     Effect("mechanical crosstalk", "A load stays on its cell.", "pressure", _always),
 )
+JUDGED = ("array", "drive", "readout", "adc", "cells", "operation")
+"""sections of a design whose values are judged; all but the last have parts"""
+NOT_KNOWN, INFINITE = "not known: what depends on it is not run", "infinite"
+ABSENT = {"temperature_range": "298.15 K only", "amplifier_model": "an amplifier of one pole"}
+"""what is taken where a key is not given, if it is no number"""
 _AMPLIFIED_ONLY = (
     *("open_loop_gain", "gain_bandwidth", "offset_voltage", "bias_current", "supply", "feedback_capacitance"),
     *("voltage_noise", "current_noise", "amplifier_model"),
@@ -129,18 +146,59 @@ def assumptions_of(design: Design) -> Assumptions:
     )
 
 
-def _not_given(design: Design) -> list[tuple[str, str]]:
-    found = []
-    for section in ("array", "drive", "readout", "adc", "cells", "operation"):
+def settings_of(design: Design) -> list[Setting]:
+    """Every component value, with its unit and its tolerance."""
+    rows, spreads = [], design.spreads
+    for section in type(design).model_fields:
         part = getattr(design, section)
-        if part is None:
-            found.append((f"[{section}]", "the shipped example cell" if section == "cells" else "none"))
-            continue
-        for key in type(part).model_fields:
-            if key == "spread" or key in part.model_fields_set or not _matters(design, section, key):
+        for key, value in () if part is None or isinstance(part, tuple) else part:
+            if key == "spread":
                 continue
-            found.append((f"{section}.{key}", _taken_as(key, getattr(part, key), UNITS.get(section, {}).get(key, ""))))
-    return found
+            unit, name = UNITS.get(section, {}).get(key, ""), f"{section}.{key}"
+            spread, shown = spreads.get(name), ""
+            if spread is not None:
+                shown = _spread_shown(spread, unit, absolute=name in MAXIMA)
+            elif name in MAXIMA and np.any(np.asarray(value)):
+                shown = "data-sheet maximum of either sign"
+            absent = ABSENT.get(key, NOT_KNOWN if section in JUDGED else "not given")
+            rows.append(Setting(section, key, _shown(value, unit, absent), shown, key in part.model_fields_set))
+    for place, fault in enumerate(design.fault):
+        rows.append(Setting("fault", str(place), f"{fault.kind} at {fault.place}, {fault.ohms:g} ohm", "", True))
+    return rows
+
+
+def _shown(value: Any, unit: str, absent: str) -> str:
+    """A value in words; ``absent`` where there is none."""
+    if value is None:
+        return absent
+    if isinstance(value, AmplifierModel):
+        return f"{value.subcircuit} of {value.file.name}"
+    if isinstance(value, tuple | list):
+        limits = [_shown(item, unit, absent) for item in value]
+        return "no limit" if {*limits} <= {INFINITE, f"−{INFINITE}"} else f"[{', '.join(limits)}]"
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    return engineering(float(value), unit, 6) if abs(value) < inf else "−" * (value < 0) + INFINITE
+
+
+def _spread_shown(spread: Spread, unit: str, *, absolute: bool) -> str:
+    drift = spread.temperature_coefficient
+    per_kelvin = f"± {engineering(abs(drift), unit)}/K" if absolute else f"{1e6 * drift:g} ppm/K"
+    parts = [f"± {100 * spread.tolerance:g} %" if spread.tolerance else ""]
+    parts += [f"± {engineering(spread.deviation, unit)}" if spread.deviation else ""]
+    parts += [f"matched to {100 * spread.matching:g} %" if spread.matching is not None else ""]
+    parts += [f"packages of {spread.package}" if spread.package else ""]
+    parts += [per_kelvin if drift else "", f"follows {spread.tied_to}" if spread.tied_to else ""]
+    return ", ".join([*filter(None, parts), spread.distribution])
+
+
+def _not_given(design: Design) -> Iterator[tuple[str, str]]:
+    for section in JUDGED:
+        if getattr(design, section) is None:
+            yield f"[{section}]", "the shipped example cell" if section == "cells" else "none"
+    for setting in settings_of(design):
+        if setting.section in JUDGED and not setting.named and _matters(design, setting.section, setting.key):
+            yield f"{setting.section}.{setting.key}", setting.value
 
 
 def _matters(design: Design, section: str, key: str) -> bool:
@@ -159,23 +217,9 @@ def _matters(design: Design, section: str, key: str) -> bool:
     return True
 
 
-def _taken_as(key: str, value: Any, unit: str) -> str:
-    if key == "temperature_range":
-        return "298.15 K only"
-    if key == "amplifier_model":
-        return "an amplifier of one pole"
-    if value is None:
-        return "not known: what depends on it is not run"
-    if isinstance(value, tuple):
-        return "no limit" if np.isinf(value).all() else f"[{', '.join(engineering(v, unit) for v in value)}]"
-    if isinstance(value, str):
-        return value
-    return "infinite" if np.isinf(value) else engineering(float(value), unit)
-
-
 def _exact(design: Design) -> list[str]:
     spreads, found = design.spreads, []
-    for section in ("array", "drive", "readout", "adc", "cells"):
+    for section in JUDGED[:-1]:
         part = getattr(design, section)
         for key in () if part is None else type(part).PARTS:
             name, value = f"{section}.{key}", np.asarray(getattr(part, key), dtype=np.float64)

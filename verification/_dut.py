@@ -221,11 +221,6 @@ def once(
     return kept
 
 
-def keep(dut: DesignUnderTest, function: Callable[..., T], args: tuple[Any, ...], value: T) -> None:
-    """The result of a function that is :func:`once`, worked out elsewhere; all its arguments are given."""
-    dut._found[(function.__wrapped__, *args)] = value  # type: ignore[attr-defined]  # set by wraps
-
-
 @cache
 def _calibrated(cell: Cell) -> Cell:
     return rehearsed(cell)

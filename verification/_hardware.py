@@ -23,7 +23,7 @@ from ._outcome import Measurement, NotRun
 from ._units import engineering
 
 FRAMES = 200
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 """for one frame: a slow machine is no failure"""
 
 
@@ -36,8 +36,10 @@ class Readings:
     clipped: FloatArray
     """(frames, rows, columns) 1 where a code is the first or the last"""
     lost: int
-    device_seconds: float | None
-    """from the first frame to the last, by the board's clock"""
+    valid: float
+    """share of the cells"""
+    device_steps: FloatArray
+    """(frames - 1,) s from frame to frame, by the board's clock; none of a board without one"""
 
 
 def measured_on_board(
@@ -53,7 +55,7 @@ def measured_on_board(
     if measure is None:
         raise NotRun(f"'{quantity}' cannot be measured on a board")
     dut.converter()
-    readings = _readings(dut)
+    readings = readings_of(dut)
     found = measure(dut, readings)
     source = f"{len(readings.volts)} frames of the board at {dut.target}"
     if found.resolution:
@@ -67,7 +69,8 @@ def true_cells(dut: DesignUnderTest) -> FloatArray:
 
 
 @once
-def _readings(dut: DesignUnderTest) -> Readings:
+def readings_of(dut: DesignUnderTest) -> Readings:
+    """What the board of this run sends. Raises NotRun where there is none, or another one."""
     try:
         with (
             _board(dut) as port,
@@ -78,17 +81,13 @@ def _readings(dut: DesignUnderTest) -> Readings:
             frames: list[Frame] = list(islice(skin, FRAMES))
     except (LinkError, ProtocolError, MissingExtra) as error:
         raise NotRun(f"no board: {error}") from error
-    return _taken(dut, frames)
-
-
-def _taken(dut: DesignUnderTest, frames: list[Frame]) -> Readings:
     counts = np.array([frame.counts for frame in frames])
-    times = [frame.device_time for frame in frames if frame.device_time is not None]
     return Readings(
         volts=volts_of_codes(dut.design, counts),
         clipped=clipped(dut.design, counts).astype(np.float64),
         lost=sum(frame.lost_before or 0 for frame in frames[1:]),
-        device_seconds=times[-1] - times[0] if len(times) > 1 else None,
+        valid=float(np.mean([frame.valid.mean() for frame in frames])),
+        device_steps=np.diff([frame.device_time for frame in frames if frame.device_time is not None]),
     )
 
 

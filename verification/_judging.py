@@ -24,7 +24,7 @@ from ._readings import Excursion, ReadingErrorTarget
 from ._record import BoundsRecord, CornerRecord
 from ._scale import Scale
 from ._search import Target, WorstCase, worst_case
-from ._tuning import MOST_CELLS_BY_PART, MOST_LONGEST_FRAMES, SAME_FRAME_TIME
+from ._tuning import FEW, LEAST_RISE, MOST_CELLS_BY_PART
 from ._units import engineering
 from ._whole_board import MOST_SECONDS, FrameTimeTarget
 
@@ -110,10 +110,10 @@ def _longest_frame(dut: DesignUnderTest, target: FrameTimeTarget, parts: Parts, 
     starts = target.starts(box)
     times = target.evaluate(box, starts)
     longest, corner = float(times.max()), starts.some(np.array([int(times.argmax())]))
-    for _ in range(MOST_LONGEST_FRAMES):
+    for _ in range(FEW):
         found = worst_of(dut, target.at(box, min(max(longest, LEAST_SI), MOST_SECONDS)), parts)
         time = float(target.evaluate(box, found.corner)[0])
-        if np.isinf(longest) or time <= longest * (1.0 + SAME_FRAME_TIME):
+        if np.isinf(longest) or time <= longest * (1.0 + LEAST_RISE):
             break
         longest, corner = time, found.corner
     return replace(found, target=target, corner=corner, value=longest)
@@ -237,12 +237,14 @@ class Searched:
     detail: Callable[[DesignUnderTest, Requirement, WorstCase, Measurement], Measurement] | None = None
     """adds what only this quantity has to say about its worst case"""
 
-    def __call__(self, dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+    def __call__(
+        self, dut: DesignUnderTest, requirement: Requirement, method: str, boards: FloatArray | None = None
+    ) -> Measurement:
         target, share = self.target(dut, requirement), judged_by(requirement)
         if isinstance(target, Measurement):
             return target
         if method == SAMPLED:
-            return self._yield(target, dut, requirement, share)
+            return self._yield(sampled(dut, target, share) if boards is None else boards, dut, requirement)
         parts: Parts = "nominal" if method == NOMINAL else "aged"
         found = worst_of(dut, target, parts, share=share)
         line = f"{self.line(found.box, found.cell)}; " if self.line else ""
@@ -254,10 +256,9 @@ class Searched:
             return result
         return replace(result, bounds=bounds_of(dut, target, self.show, share))
 
-    def _yield(self, target: Target, dut: DesignUnderTest, requirement: Requirement, share: bool | None) -> Measurement:
-        """How many boards keep the limits."""
-        values = sampled(dut, target, share)
-        unit = self.unit or sampler_of(dut, target, share).box.scale.unit
+    def _yield(self, values: FloatArray, dut: DesignUnderTest, requirement: Requirement) -> Measurement:
+        """How many boards (boards,) keep the limits."""
+        unit = self.unit or box_of(dut, share=judged_by(requirement)).scale.unit
         shown = np.array([self.show(float(value)) for value in values])
         low, high = requirement.min, requirement.max
         kept = np.isfinite(shown)

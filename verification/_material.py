@@ -1,9 +1,8 @@
-"""P2 to P9: the cell's models against what the paper states, and the estimate of the pressure."""
+"""P1 to P9: the mixture and the cell's models against what the paper states, and the estimate of the pressure."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,16 +13,71 @@ from ..common import plots
 from ..common.arrays import FloatArray
 from ..errors import InputError
 from ._claim import statement
-from ._dut import DesignUnderTest, once
-from ._outcome import Check, Finding, Table
+from ._dut import DesignUnderTest
+from ._explore import KNOWN_FRACTION, mixtures, resolution_kpa
+from ._outcome import Check, DoesNotApply, Finding, Table
 from ._pictures import curves, picture, pressures
-from ._pressures import one_cell_read
+from ._pressures import FASTEST_HZ, one_cell_read
+from ._quantity import NOMINAL
 
 STEP_KPA = 15.5  # 10.0 N on one square inch (V.A)
-RATE_HZ = 50.0
 EDGE_S = 0.1  # time in which a press is applied and released
 SETTLED_S = 1e-6  # time before the first sample in which the first pressure is applied
 PAPERS = "the paper's"
+FRACTIONS = np.array([0.0112, 0.0125, KNOWN_FRACTION, 0.02, 0.025, 0.03, 0.04, 0.05])
+CURVE = np.geomspace(FRACTIONS[0], FRACTIONS[-1], 30)
+
+
+@statement(
+    *("P1", "Carbon-black fraction", "II.B, Fig. 3"),
+    "Sensitivity (Rmax - R0)/R0 rises as the carbon-black fraction falls; below 1.5 % the resistance is too high "
+    "for the acquisition, so 1.5 % is the compromise.",
+)
+def fraction(dut: DesignUnderTest) -> Finding:
+    if not dut.design.board.circuit.virtual_ground or dut.design.adc is None:
+        raise DoesNotApply("this study needs a design with amplifiers that hold their lines, and an [adc]")
+    law = mixtures(dut)
+    fixed, eight = (_resolution(dut, fractions, np.ones(len(fractions))) for fractions in (CURVE, FRACTIONS))
+    chosen, free = (_resolution(dut, some, law.rest_resistance(some) / dut.rest) for some in (CURVE, FRACTIONS))
+    if np.isinf(eight).all():
+        raise InputError("every mixture drives an output into its supply, or no pressure resolution is known")
+    best, at_known = float(FRACTIONS[np.argmin(eight)]), float(eight[FRACTIONS == KNOWN_FRACTION][0])
+    sensitivity = law.sensitivities(FRACTIONS)
+    falls = "sensitivity rises as the fraction falls: smallest ratio of neighbours"
+    finest = "1.5 % against the finest of the eight, reference resistor chosen for each: standard deviation"
+    caption = "Left: percolation law, sensitivity (Fig. 3). Right: what the readout makes of it."
+
+    def draw(panels: Any) -> None:
+        left, right = panels[0]
+        left.semilogy(100 * CURVE, law.rest_resistance(CURVE) / 1e3)
+        left.set(title="Percolation", xlabel="carbon black / % by mass", ylabel="R0 / kΩ")
+        other = left.twinx()
+        other.plot(100 * CURVE, law.sensitivities(CURVE), color=plots.ORANGE)
+        other.plot(100 * FRACTIONS, sensitivity, "o", color=plots.ORANGE, ms=4)
+        other.set_ylabel("sensitivity (Rmax - R0)/R0", color=plots.ORANGE)
+        other.grid(visible=False)
+        right.semilogy(100 * CURVE, chosen, label="reference resistor chosen for each")
+        right.semilogy(100 * CURVE, fixed, label="reference resistor of the design")
+        right.semilogy(100 * FRACTIONS, eight, "o", color=plots.ORANGE, ms=4)
+        right.set(title="Resolution", xlabel="carbon black / % by mass", ylabel="σ of pressure / % of full scale")
+        right.legend()
+
+    return Finding(
+        checks=[
+            Check(falls, float((sensitivity[:-1] / sensitivity[1:]).min()), 1.0, at_least=True),
+            Check(finest, at_known / float(np.min(free)), 1.5, "times"),
+            Check("at 1.5 %: standard deviation of one reading, worst load", at_known, 1.0, "% of full scale"),
+        ],
+        text=[
+            "Each mixture is read by the design under verification: its pressure resolution, without load and at full "
+            "scale. With the reference resistor of the design, less carbon black leaves less current to measure, and "
+            f"more drives the output into its supply (no number there): {100 * best:g} % is the finest of the eight. "
+            f"With a resistor in proportion to R0 it is {100 * FRACTIONS[np.argmin(free)]:g} %, by so little that "
+            "the acquisition decides, as the paper says. The family goes through the design's cell at 1.5 %; threshold "
+            f"{100 * law.threshold:g} % and exponent {law.exponent:g} are the project's own."
+        ],
+        figures=picture(caption, draw, 1, 2, height=2.9),
+    )
 
 
 @statement(
@@ -301,40 +355,36 @@ def inverse_filter(dut: DesignUnderTest) -> Finding:
     )
 
 
-@dataclass(frozen=True)
-class _Press:
-    """One press of P9 as the readout has it."""
-
-    time_s: FloatArray
-    pressure: FloatArray
-    true_ohm: FloatArray
-    read_ohm: FloatArray
-    estimates: dict[str, FloatArray]
-    lost: float
-    """share of readings beyond the converter's range, or of outputs at a limit"""
-
-
 @statement(
     *("P9", "One step and three steps", "V.A, Figs. 10, 11"),
     "The estimate follows the applied stress for a 15.5 kPa step, and for three in a row with creep.",
 )
 def steps(dut: DesignUnderTest) -> Finding:
-    found = _presses(dut)
-    limit = dut.design.requirements.pressure_rmse_percent
-    checks = []
-    for title, press in found.items():
-        checks.append(Check(f"{title}: readings lost to a limit", 100 * press.lost, 0.0, "%"))
-        for label, kpa in press.estimates.items():
-            error = rmse(kpa, press.pressure, dut)
+    presses = {
+        "one step": ([(5.0, STEP_KPA, 20.0)], 90.0),
+        "three steps": ([(5.0 + 25.0 * k, STEP_KPA, 12.0) for k in range(3)], 110.0),
+    }
+    limit, checks, shown = dut.design.requirements.pressure_rmse_percent, [], {}
+    for title, (profile, duration) in presses.items():
+        time_s, pressure = pressed(profile, duration)
+        true_ohm = respond(dut.cell, time_s, pressure)
+        read_ohm, lost = one_cell_read(dut, true_ohm)
+        zero = float(np.median(read_ohm[time_s < 4.0]))  # R0 as a user has it: read at rest, by the same readout
+        estimates = side_by_side(dut, time_s, read_ohm, zero)
+        shown[title] = time_s, pressure, true_ohm, read_ohm, estimates
+        checks.append(Check(f"{title}: readings lost to a limit", 100 * lost, 0.0, "%"))
+        for label, kpa in estimates.items():
+            error = rmse(kpa, pressure, dut)
             checks.append(Check(f"{title}, {label}: RMSE", error, limit, "% of full scale"))
-            peak = 100 * float(np.abs(kpa - press.pressure).max()) / dut.full_scale_kpa
+            peak = 100 * float(np.abs(kpa - pressure).max()) / dut.full_scale_kpa
             checks.append(Check(f"{title}, {label}: peak error", peak, 8 * limit, "% of full scale"))
 
     def draw(panels: Any) -> None:
-        for (top, below), (title, press) in zip(panels.T, found.items(), strict=True):
-            top.plot(press.time_s, press.true_ohm / 1e3, color=plots.INK, lw=4, alpha=0.25, label="cell")
-            curves(top, press.time_s, {"as read": press.read_ohm / 1e3}, title=title, ylabel="resistance / kΩ")
-            pressures(below, press.time_s, press.pressure, press.estimates)
+        for (top, below), (title, press) in zip(panels.T, shown.items(), strict=True):
+            time_s, pressure, true_ohm, read_ohm, estimates = press
+            top.plot(time_s, true_ohm / 1e3, color=plots.INK, lw=4, alpha=0.25, label="cell")
+            curves(top, time_s, {"as read": read_ohm / 1e3}, title=title, ylabel="resistance / kΩ")
+            pressures(below, time_s, pressure, estimates)
 
     caption = "One press of 15.5 kPa (Fig. 10) and three in a row with creep (Fig. 11)."
     return Finding(
@@ -350,19 +400,11 @@ def steps(dut: DesignUnderTest) -> Finding:
     )
 
 
-def _presses(dut: DesignUnderTest) -> dict[str, _Press]:
-    presses = {
-        "one step": ([(5.0, STEP_KPA, 20.0)], 90.0),
-        "three steps": ([(5.0 + 25.0 * k, STEP_KPA, 12.0) for k in range(3)], 110.0),
-    }
-    found = {}
-    for title, (profile, duration) in presses.items():
-        time_s, pressure = pressed(profile, duration)
-        true_ohm = respond(dut.cell, time_s, pressure)
-        read_ohm, lost = one_cell_read(dut, true_ohm)
-        zero = float(np.median(read_ohm[time_s < 4.0]))  # R0 as a user has it: read at rest, by the same readout
-        found[title] = _Press(time_s, pressure, true_ohm, read_ohm, side_by_side(dut, time_s, read_ohm, zero), lost)
-    return found
+def _resolution(dut: DesignUnderTest, fractions: FloatArray, factors: FloatArray) -> FloatArray:
+    """Pressure resolution (fractions,) in % of full scale, the reference resistor times factors; inf beyond limits."""
+    pairs = zip(factors.tolist(), fractions.tolist(), strict=True)
+    each = ({"reference resistor": factor, "carbon black": fraction} for factor, fraction in pairs)
+    return np.array([100 * resolution_kpa(dut, changes, NOMINAL) / dut.full_scale_kpa for changes in each])
 
 
 def _paper_model(dut: DesignUnderTest) -> PaperModel:
@@ -385,8 +427,8 @@ def _release(dut: DesignUnderTest) -> tuple[FloatArray, FloatArray]:
 
 
 def pressed(presses: list[tuple[float, float, float]], duration_s: float) -> tuple[FloatArray, FloatArray]:
-    """Presses (start s, kPa, length s) as samples at RATE_HZ."""
-    time_s = np.arange(0.0, duration_s, 1 / RATE_HZ)
+    """Presses (start s, kPa, length s) as samples at FASTEST_HZ."""
+    time_s = np.arange(0.0, duration_s, 1 / FASTEST_HZ)
     pressure = np.zeros_like(time_s)
     for start, kpa, length in presses:
         corners = [start, start + EDGE_S, start + length, start + length + EDGE_S]
@@ -406,27 +448,12 @@ def respond(cell: Cell, time_s: FloatArray, pressure: FloatArray, rest: FloatArr
 def side_by_side(
     dut: DesignUnderTest, time_s: FloatArray, ohms: FloatArray, rest: float | None = None
 ) -> dict[str, FloatArray]:
-    """kPa (samples,) by label, from a reading of the design's cell; ``rest`` replaces R0.
-
-    Several experiments look at the same press, whose estimates are worked out once.
-    """
-    return dict(_side_by_side(dut, tuple(time_s.tolist()), tuple(ohms.tolist()), rest))
-
-
-@once
-def _side_by_side(
-    dut: DesignUnderTest, time_s: tuple[float, ...], ohms: tuple[float, ...], rest: float | None
-) -> dict[str, FloatArray]:
-    times, readings = np.array(time_s), np.array(ohms)
+    """kPa (samples,) by label, from a reading of the design's cell; ``rest`` replaces R0."""
+    estimators = {PAPERS: (dut.cell, "paper"), f"ours ({dut.ours})": (dut.calibrated, dut.ours)}
     return {
-        PAPERS: estimate(dut.cell, "paper", times, readings, rest),
-        f"ours ({dut.ours})": estimate(dut.calibrated, dut.ours, times, readings, rest),
+        label: estimate_recording(cell.estimator((), name, rest_resistance_ohm=rest), time_s, ohms)[0]
+        for label, (cell, name) in estimators.items()
     }
-
-
-def estimate(cell: Cell, name: str, time_s: FloatArray, ohms: FloatArray, rest: float | None = None) -> FloatArray:
-    """kPa (samples,) of one cell."""
-    return estimate_recording(cell.estimator((), name, rest_resistance_ohm=rest), time_s, ohms)[0]
 
 
 def rmse(estimate: FloatArray, truth: FloatArray, dut: DesignUnderTest) -> float:

@@ -12,6 +12,7 @@ processes, the order in which blocks are done, or an interruption in between.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
 from math import inf
 
@@ -22,7 +23,7 @@ from ..common.arrays import FloatArray, IntArray
 from ._box import Box, Corners
 from ._readings import ReadingTarget, named_corners
 from ._search import Target, WorstCase
-from ._tuning import BLOCK, FOUND, FOUND_WHOLE, MOST_BESIDE, MOST_BOARDS, MOST_TRIES, ROOM, TOGETHER
+from ._tuning import BLOCK, FEW, MOST_BOARDS, MOST_TRIES, ROOM, WORK
 
 CONFIDENCE = 0.95
 
@@ -34,7 +35,7 @@ def blocks(samples: int) -> int:
 
 def blocks_beside(target: Target, box: Box, tries: int, samples: int) -> int:
     """Blocks of boards that are judged beside a worst case: as many as are drawn, fewer of large arrays."""
-    return min(blocks(samples), max(1, int(MOST_BESIDE / (BLOCK * tries * target.cost(box)))))
+    return min(blocks(samples), max(1, int(WORK / (BLOCK * tries * target.cost(box)))))
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Sampler:
             patterns = others.x[:, pressed]
             _, first = np.unique(np.sign(patterns), axis=0, return_index=True)
             nothing = np.zeros(0)
-            some = others.some(np.sort(first)[:FOUND_WHOLE])
+            some = others.some(np.sort(first)[: FEW // 2])
             return cls(target, box, some, others.some(slice(0, 0)), nothing, np.zeros((0, parts + cells)))
         fixed, slopes = [], []
         named = named_corners(target, box)
@@ -76,7 +77,7 @@ class Sampler:
         return cls(
             target,
             box,
-            others.some(np.sort(first)[:FOUND]),
+            others.some(np.sort(first)[:FEW]),
             Corners.joined([one.corners for one in named]),
             np.concatenate(fixed),
             np.concatenate(slopes),
@@ -85,7 +86,7 @@ class Sampler:
     @property
     def tries(self) -> int:
         """Points that a board takes at least."""
-        return len(self.found) + (TOGETHER if len(self.named) else 0)
+        return len(self.found) + (FEW if len(self.named) else 0)
 
     def block(self, seed: int, block: int) -> FloatArray:
         """The largest value (boards,) of the target over all cells and presses, of one block of boards."""
@@ -98,10 +99,10 @@ class Sampler:
         own = np.tile(np.arange(len(self.found)), (len(boards), 1))
         best: FloatArray = self._solved(boards, self.found, own).max(axis=1)
         promised = self.fixed + boards @ self.slopes.T
-        count = min(TOGETHER * MOST_TRIES, promised.shape[1])
+        count = min(FEW * MOST_TRIES, promised.shape[1])
         order = np.argsort(-promised, axis=1, kind="stable")[:, :count]
-        for first in range(0, count, TOGETHER):
-            chosen = order[:, first : first + TOGETHER]
+        for first in range(0, count, FEW):
+            chosen = order[:, first : first + FEW]
             next_value = np.take_along_axis(promised, chosen[:, :1], axis=1)[:, 0]
             open_ones = np.isfinite(best)
             worth = np.where(open_ones, best, 0.0) * (1.0 - ROOM)
@@ -142,10 +143,5 @@ def boards_needed(wanted: float, share: float) -> int | None:
     def proves(count: int) -> bool:
         return proportion_bounds(math.floor(share * count + 1e-9), count)[0] >= wanted
 
-    if share <= wanted or not proves(MOST_BOARDS):
-        return None
-    low, high = 0, MOST_BOARDS
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if proves(middle) else (middle, high)
-    return high
+    count = bisect_left(range(MOST_BOARDS + 1), True, key=proves) if share > wanted else MOST_BOARDS + 1
+    return count if count <= MOST_BOARDS else None

@@ -24,20 +24,6 @@ from ..circuits import Boards, Design, Spread
 from ..common.arrays import FloatArray
 from ._units import UNITS, engineering
 
-SECTION = {
-    "row_lead": "array",
-    "row_segment": "array",
-    "column_lead": "array",
-    "column_segment": "array",
-    "reference_resistance": "readout",
-    "open_loop_gain": "readout",
-    "offset_voltage": "readout",
-    "bias_current": "readout",
-    "voltage": "drive",
-    "reference_voltage": "readout",
-    **dict.fromkeys(("gain_bandwidth", "column_capacitance", "feedback_capacitance"), "readout"),
-}
-"""The parts of :class:`ohmskin.circuits.Boards`, and the section of DESIGN.toml that each is in."""
 IN_TIME = ("readout.gain_bandwidth", "readout.column_capacitance", "readout.feedback_capacitance")
 """Parts that settled readings do not depend on."""
 CONVERTER = ("offset_voltage", "gain_error", "inl_steps")
@@ -146,7 +132,7 @@ class Factors:
     @property
     def ends(self) -> tuple[str, ...]:
         """The parts of networks at the lines' ends."""
-        sections = {*SECTION.values(), "adc", "cells"}
+        sections = {*Boards.names().values(), "adc", "cells"}
         return tuple(key for key in self.centre if key.partition(".")[0] not in sections)
 
     def __len__(self) -> int:
@@ -161,20 +147,11 @@ class Factors:
         follows = self.values(other, factors) / nominal
         return (1.0 + result) / follows - 1.0 if key == RATIOMETRIC else result * follows
 
-    def slopes(self, key: str) -> FloatArray:
-        """(L, F) derivatives of one part by the factors, about their centre."""
-        own = self.matrix[key]
-        if key not in self.tied:
-            return own
-        other, nominal = self.tied[key]
-        follows: FloatArray = self.matrix[other] / nominal
-        return own - follows if key == RATIOMETRIC else own + self.centre[key][:, None] * follows
-
     def population(self, factors: FloatArray) -> Population:
         """The boards of factors (S, F)."""
         parts = {}
-        for name in Boards.names():
-            values = self.values(f"{SECTION[name]}.{name}", factors)
+        for name, section in Boards.names().items():
+            values = self.values(f"{section}.{name}", factors)
             parts[name] = np.maximum(values, 1.0) if name == "open_loop_gain" else values
         ends = {key: self.values(key, factors) for key in self.ends}
         if "adc.gain_error" in self.centre:
@@ -274,7 +251,7 @@ def _own(width: FloatArray, *, shared: bool) -> Iterator[tuple[int | None, Float
 
 def _nominal_values(design: Design) -> dict[str, FloatArray]:
     boards = Boards.of(design)
-    values = {f"{SECTION[name]}.{name}": getattr(boards, name)[0] for name in Boards.names()}
+    values = {f"{section}.{name}": getattr(boards, name)[0] for name, section in Boards.names().items()}
     values |= design.end_parts
     if design.adc is not None:
         values |= {f"adc.{name}": np.array([getattr(design.adc, name)]) for name in CONVERTER}

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..circuits import Adc, Design, apparent_resistance, noise, scan_batch, volts_of_codes
+from ..circuits import Adc, Design, apparent_resistance, at_ideal_converter, noise, scan_batch, volts_of_codes
 from ..common.arrays import BoolArray, FloatArray
 from ..common.geometry import Geometry
 from ..driver import CountReader
@@ -24,7 +24,7 @@ from ._judging import box_of, worst_of
 from ._outcome import Figure, NotRun
 from ._parameters import MAXIMA, Factors
 from ._pictures import histories
-from ._readings import converted, limited
+from ._readings import limited
 from ._units import engineering
 from .quantities.noise import noise_of
 from .quantities.reading_errors import GainError
@@ -181,7 +181,7 @@ def _sampled(
         volts = volts + random.standard_normal(volts.shape) * np.maximum(*states)
     except (InputError, SolverError):  # no noise is given, which its own requirement says
         pass
-    volts = converted(board, volts, population.converter[0])
+    volts = at_ideal_converter(board, volts, population.converter[0])
     at_limit = limited(box, volts, found.saturated)
     return volts, at_limit > 0.0 if box.scale.open_is_rest else at_limit != 0.0
 

@@ -5,27 +5,27 @@ output is at a supply limit, or if it stands at or beyond an end of its circuit'
 or at that of a short. The law's resistance passes through infinity or zero there and changes its sign, so that a number
 of the other sign would look harmless. Of a cell that is open at rest the open end is a state of the cell, not a loss.
 
-The derivatives of every reading by every part and cell (adjoint method, :func:`ohmskin.circuits.sensitivity`), at all
-cells at rest and at all pressed, name one corner per cell, sign and state to start from.
+The derivatives of every reading by every part (central differences) and cell (adjoint method,
+:func:`ohmskin.circuits.sensitivity`), at all cells at rest and at all pressed, name one corner per cell, sign and state
+to start from.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from math import inf
 from typing import Final
 
 import numpy as np
 
-from ..circuits import Boards, Design, ideal_volts, read_together, scan, scan_population, sensitivity
+from ..circuits import Design, at_ideal_converter, ideal_volts, read_together, scan, scan_population, sensitivity
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._box import Box, Corners
-from ._parameters import CONVERTER, SECTION
 from ._search import Target, most_solved
-from ._tuning import ALONE, CELLS_TOGETHER
+from ._tuning import ALONE, CELLS_TOGETHER, DIFFERENCE
 
 Law = Callable[[FloatArray], FloatArray]
 """The host's resistances in ohm of volts, of the same shape."""
@@ -67,18 +67,6 @@ def law_of(box: Box, row: IntArray, column: IntArray) -> Law:
         return found
 
     return ohms
-
-
-def converted(design: Design, volts: FloatArray, converter: FloatArray) -> FloatArray:
-    """V at an ideal converter for the errors (..., 3) of the real one; as in :func:`ohmskin.circuits.adc_codes`."""
-    adc = design.adc
-    if adc is None:
-        return volts
-    offset, slope, bow = np.moveaxis(converter, -1, 0)
-    above = (volts - adc.range[0]) * (1.0 + slope) + offset
-    share = np.clip(above / (adc.range[1] - adc.range[0]), 0.0, 1.0)
-    shifted: FloatArray = adc.range[0] + above + bow * adc.step * 4.0 * share * (1.0 - share)
-    return shifted
 
 
 def clipped(design: Design, volts: FloatArray) -> BoolArray:
@@ -202,7 +190,7 @@ def _frame(
 ) -> Frame:
     """The judged readings of outputs (C, N, M)."""
     own = (np.arange(len(corners)), corners.row, corners.column)
-    volts = converted(box.design, output[own], converter)
+    volts = at_ideal_converter(box.design, output[own], converter)
     return Frame(output[own], volts, cells[own], limited(box, volts, saturated[own]))
 
 
@@ -276,63 +264,16 @@ class _Linear:
 
 
 def _linearised(box: Box, factors: FloatArray, cells: FloatArray) -> _Linear:
-    population = box.factors.population(factors[None])
-    found = sensitivity(population.boards.design(box.design, 0), cells)
-    by_part = {
-        "row_lead": found.row_lead,
-        "row_segment": found.row_segment.sum(axis=-1),
-        "column_lead": found.column_lead,
-        "column_segment": found.column_segment.sum(axis=-2),
-        "reference_resistance": found.reference_resistance,
-        "open_loop_gain": -found.inverse_gain / population.boards.open_loop_gain**2,
-        "offset_voltage": found.offset_voltage,
-        "bias_current": found.bias_current,
-    }
-    by_factor = np.zeros((*cells.shape, len(box.factors)))
-    for name, section in SECTION.items():
-        matrix = box.factors.slopes(f"{section}.{name}")
-        if not matrix.any():
-            continue
-        if name in by_part:
-            by_factor += by_part[name] @ matrix
-        else:
-            by_factor += _by_difference(box.design, population.boards, name, cells)[..., None] * matrix[0]
-    for key in box.factors.ends:
-        matrix = box.factors.slopes(key)
-        for line in np.flatnonzero(matrix.any(axis=1)).tolist():
-            by_factor += _by_end(box.design, population.boards, key, line, cells)[..., None] * matrix[line]
-    converter = population.converter[0]
-    volts = converted(box.design, found.volts, converter)
-    if box.design.adc is not None:
-        for name, unit in zip(CONVERTER, 1e-6 * np.eye(len(CONVERTER)), strict=True):
-            moved = converted(box.design, found.volts, converter + unit)
-            by_factor += ((moved - volts) / 1e-6)[..., None] * box.factors.slopes(f"adc.{name}")[0]
-    return _Linear(found.volts, volts, by_factor, found.cells)
-
-
-def _by_end(design: Design, boards: Boards, key: str, line: int, cells: FloatArray) -> FloatArray:
-    """dV/d(part) (N, M) of one line's part of a network."""
-    value = boards.ends[key]
-    width = 1e-4 * abs(float(value[0, line])) or 1e-9
-    step = np.where(np.arange(value.shape[1]) == line, width, 0.0)
-    high, low = (
-        scan_population(design, replace(boards, ends={**boards.ends, key: value + sign * step}), cells[None]).volts[0]
-        for sign in (1.0, -1.0)
-    )
-    result: FloatArray = (high - low) / (2 * width)
-    return result
-
-
-def _by_difference(design: Design, boards: Boards, name: str, cells: FloatArray) -> FloatArray:
-    """dV/d(part) (N, M) of a part that all lines share; outputs are linear in both of these."""
-    value = getattr(boards, name)
-    width = 1e-3 * max(abs(float(value[0, 0])), 1.0)
-    high, low = (
-        scan_population(design, replace(boards, **{name: value + step}), cells[None], resolve_saturation=False).volts[0]
-        for step in (width, -width)
-    )
-    result: FloatArray = (high - low) / (2 * width)
-    return result
+    """By central differences along each factor, and by the adjoint method for the cells."""
+    count = len(factors)
+    moves = DIFFERENCE * np.concatenate([np.zeros((1, count)), np.eye(count), -np.eye(count)])
+    population = box.factors.population(factors + moves)
+    by_cell = sensitivity(population.boards.design(box.design, 0), cells).cells
+    each = np.broadcast_to(cells, (len(moves), *cells.shape))
+    output = scan_population(box.design, population.boards, each, resolve_saturation=False).volts
+    volts = at_ideal_converter(box.design, output, population.converter[:, None, None])
+    by_factor = np.moveaxis(volts[1 : count + 1] - volts[count + 1 :], 0, -1) / (2.0 * DIFFERENCE)
+    return _Linear(output[0], volts[0], by_factor, by_cell)
 
 
 def _slopes(

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..circuits import AmplifierModel, Design, Spread, spice
+from ..circuits import Design, spice
 from ..common import plots
 from ..common.config import fingerprint
 from ..common.extras import install_command
@@ -27,13 +27,12 @@ from ..common.files import make_folder, write_together
 from ..common.json_text import finite_or_text, replaced
 from ..common.text import markdown, markdown_code, printable
 from ..errors import MissingExtra, OhmskinError
-from ._assumptions import Assumptions, assumptions_of
+from ._assumptions import Assumptions, assumptions_of, settings_of
 from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest, everything_of
 from ._explore import may_be_mended
 from ._export import export_samples
 from ._outcome import Check, Claim, Figure, Measurement, Result, Table
-from ._parameters import MAXIMA
 from ._pictures import picture
 from ._record import (
     SCHEMA_VERSION,
@@ -47,22 +46,10 @@ from ._record import (
 )
 from ._schematic import schematic
 from ._sign_off import RATINGS, SignOff, filed_under
-from ._units import PREFIXED, UNITS, engineering
+from ._units import PREFIXED, engineering
 
 EXIT_CODES = {Outcome.PASS: 0, Outcome.FAIL: 1, Outcome.NOT_RUN: 3, Outcome.NOT_APPLICABLE: 3}
 FILES = ("report.html", "report.json", "junit.xml", "summary.md", "netlist.cir")
-
-
-@dataclass(frozen=True)
-class Setting:
-    """A line of the table of component values."""
-
-    section: str
-    key: str
-    value: str
-    spread: str
-    named: bool
-    """whether the design names it"""
 
 
 @dataclass(frozen=True)
@@ -223,7 +210,7 @@ class Report:
         page.filters["printable"] = printable
         return page.from_string(source).render(
             report=self,
-            settings=self.settings(),
+            settings=settings_of(self.design),
             sheet=SignOff.of(self.dut, self.results),
             rating_columns=RATINGS,
             environment=environment(),
@@ -355,49 +342,6 @@ class Report:
             changed = ((c.id, c.change, c.was, c.is_now) for c in self.changes if c.change != "same")
             lines += ["", *_table(["against the older report", "change", "was", "is"], changed)]
         return "\n".join(lines) + "\n"
-
-    def settings(self) -> list[Setting]:
-        """Every component value, with its unit and its tolerance."""
-        rows = []
-        spreads = self.design.spreads
-        for section in type(self.design).model_fields:
-            part = getattr(self.design, section)
-            if part is None or isinstance(part, tuple):
-                continue
-            for key, value in part:
-                if key == "spread":
-                    continue
-                unit = UNITS.get(section, {}).get(key, "")
-                spread = spreads.get(f"{section}.{key}")
-                absolute = f"{section}.{key}" in MAXIMA
-                shown = "" if spread is None else _spread_shown(spread, unit, absolute=absolute)
-                if spread is None and absolute and np.any(np.asarray(value)):
-                    shown = "data-sheet maximum of either sign"
-                rows.append(Setting(section, key, _value_shown(value, unit), shown, key in part.model_fields_set))
-        for place, fault in enumerate(self.design.fault):
-            rows.append(Setting("fault", str(place), f"{fault.kind} at {fault.place}, {fault.ohms:g} ohm", "", True))
-        return rows
-
-
-def _spread_shown(spread: Spread, unit: str, *, absolute: bool) -> str:
-    drift = spread.temperature_coefficient
-    per_kelvin = f"± {engineering(abs(drift), unit)}/K" if absolute else f"{1e6 * drift:g} ppm/K"
-    parts = [f"± {100 * spread.tolerance:g} %" if spread.tolerance else ""]
-    parts += [f"± {engineering(spread.deviation, unit)}" if spread.deviation else ""]
-    parts += [f"matched to {100 * spread.matching:g} %" if spread.matching is not None else ""]
-    parts += [f"packages of {spread.package}" if spread.package else ""]
-    parts += [per_kelvin if drift else "", f"follows {spread.tied_to}" if spread.tied_to else ""]
-    return ", ".join([*filter(None, parts), spread.distribution])
-
-
-def _value_shown(value: Any, unit: str) -> str:
-    if isinstance(value, AmplifierModel):
-        return f"{value.subcircuit} of {value.file.name}"
-    if isinstance(value, bool) or not isinstance(value, int | float | tuple | list):
-        return "not given" if value is None else str(value)
-    if isinstance(value, tuple | list):
-        return "[" + ", ".join(_value_shown(item, unit) for item in value) + "]"
-    return engineering(float(value), unit, 6)
 
 
 def _table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:

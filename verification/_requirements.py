@@ -8,11 +8,13 @@ from pathlib import Path
 from pydantic import Field
 
 from ..circuits import Design, Requirement
+from ..common.arrays import FloatArray
 from ..common.config import Section, load
 from ..errors import InputError
 from ._catalogue import CATALOGUE, quantity_of
 from ._dut import DesignUnderTest
 from ._hardware import measured_on_board
+from ._judging import Searched
 from ._outcome import STOPPED, Attempt, Measurement, NotRun, Result, attempted
 from ._own_code import OwnFunction, is_own
 from ._quantity import HARDWARE, SPICE, Quantity
@@ -106,13 +108,19 @@ def check_requirements(requirements: Iterable[Requirement]) -> None:
             )
 
 
-def evaluate(dut: DesignUnderTest, requirement: Requirement, own: Mapping[str, OwnFunction]) -> Result:
+def evaluate(
+    dut: DesignUnderTest,
+    requirement: Requirement,
+    own: Mapping[str, OwnFunction],
+    boards: FloatArray | None = None,
+) -> Result:
     """One requirement on the design under test, whatever happens.
 
     Args:
         dut: the design under test.
         requirement: what is asked for.
         own: the functions of the design's own, by quantity.
+        boards: (boards,) values of the requirement's target on random boards, drawn before; None: they are drawn here.
     """
     quantity = CATALOGUE.get(requirement.quantity)
     scaled = attempted(lambda: _in_unit_of(dut, requirement, quantity))
@@ -126,6 +134,8 @@ def evaluate(dut: DesignUnderTest, requirement: Requirement, own: Mapping[str, O
             return measured_on_board(dut, quantity.name, quantity.measured)
         if method == SPICE:
             return measured_in_spice(dut, asked, quantity.analysis, quantity.unit)
+        if boards is not None and isinstance(quantity.compute, Searched):
+            return quantity.compute(dut, asked, method, boards)
         return quantity.compute(dut, asked, method)
 
     found: Attempt[Measurement] = Attempt(reason=scaled.reason) if scaled.found is None else attempted(measure)

@@ -32,11 +32,12 @@ from ..common.tables import write_text
 from ..common.workers import in_processes
 from ..driver import Skin
 from ..errors import InputError, OhmskinError
+from . import _crosstalk as crosstalk
+from . import _material as material
+from . import _whole_skin as skin
 from ._catalogue import CATALOGUE
 from ._claim import Statement
-from ._claims import STATEMENTS
-from ._dut import SAMPLES, SEED, DesignUnderTest, everything_of, keep
-from ._estimate import expected_seconds
+from ._dut import SAMPLES, SEED, DesignUnderTest, everything_of
 from ._judging import Searched, block_of, judged_by
 from ._montecarlo import blocks
 from ._outcome import STOPPED, Attempt, Claim, DoesNotApply, NotRun, Result
@@ -54,11 +55,16 @@ from ._requirements import (
 from ._search import Target
 from ._tuning import BLOCK
 
-ANNOUNCED_FROM_S = 10.0
-"""s from which on a run says at its start how long it takes"""
 NO_PORT = ("emulated", "firmware")
 ON_TARGET = ("P14",)
 """claims that talk to the target of the run"""
+STATEMENTS = (
+    *(material.fraction, material.electrodes, material.strain, material.rising, material.recovery),
+    *(material.identification, material.recovery_times, material.inverse_filter, material.steps),
+    *(crosstalk.slicing, crosstalk.grid_resistance, crosstalk.equation_10, crosstalk.crosstalk),
+    skin.whole_skin,
+)
+"""the paper's claims P1 to P14, in their order"""
 
 
 def prototype() -> Design:
@@ -74,10 +80,8 @@ class Task(NamedTuple):
     """unique, and fit for a file name"""
     what: str
     """for the progress bar"""
-    kind: str
-    """"requirement", "claim" or "samples\""""
-    number: int
-    """of the requirement, of the statement, or of the block of boards"""
+    item: Requirement | str | int
+    """a requirement, the id of a claim, or the number of a block of random boards"""
 
 
 class Work(NamedTuple):
@@ -87,6 +91,8 @@ class Work(NamedTuple):
     requirements: tuple[Requirement, ...]
     own: Mapping[str, OwnFunction]
     """functions of the design's own, by quantity"""
+    fingerprint: str
+    """SHA-256 of everything that the numbers depend on"""
 
 
 def verify(
@@ -138,7 +144,7 @@ def verify(
         require_all: what could not be run counts as failed.
         command: what the report says makes it again.
         progress: called after each task that is done.
-        announce: called at the start with lines about what is run of the design's own, and how long it takes.
+        announce: called at the start with a line about each file of the design's own that is run.
         tell: called with each result as soon as it is there.
 
     Returns:
@@ -166,22 +172,19 @@ def verify(
     own = read_own_functions(wanted, folder or Path(), allow_code)
     for path, sha256 in {function.path: function.sha256 for function in own.values() if function.allowed}.items():
         announce(f"the design's own code is run: {path}, SHA-256 {sha256}")
-    work = Work(dut, wanted, own)
-    if (seconds := expected_seconds(dut, wanted)) > ANNOUNCED_FROM_S:
-        announce(f"searches and samples take about {_rounded(seconds)} of processor time here, in {jobs} process(es)")
-    memory = _Store(store, _fingerprint(work))
+    work = Work(dut, wanted, own, _fingerprint(dut, wanted, own))
     if target != "emulated":  # another board may answer at the same port by now
-        _known.pop(memory.fingerprint, None)
-    results, interruption = _compute(work, statements, memory, jobs, executor, progress, tell)
-    name = title or ("the paper's 4 × 4 prototype" if design is None else "readout design")
+        _known.clear()
+    memory = _Store(None if store is None else store / work.fingerprint)
+    results, claims, interruption = _compute(work, statements, memory, jobs, executor, progress, tell)
     report = Report(
-        title=name,
+        title=title or ("the paper's 4 × 4 prototype" if design is None else "readout design"),
         dut=dut,
-        results=[found for found in results if isinstance(found, Result)],
-        claims=[found for found in results if isinstance(found, Claim)],
+        results=results,
+        claims=claims,
         seconds=time.perf_counter() - start,
         command=command,
-        fingerprint=memory.fingerprint,
+        fingerprint=work.fingerprint,
         require_all=require_all,
         judged_by_default=requirements is None and not dut.design.requirement,
         interruption=interruption,
@@ -189,12 +192,6 @@ def verify(
     if interruption is None:
         memory.clear()
     return report
-
-
-def _rounded(seconds: float) -> str:
-    """A time that is known to a factor of two or three."""
-    value, unit = (seconds, "s") if seconds < 100 else (seconds / 60, "min")
-    return f"{float(f'{value:.1g}'):g} {unit}"
 
 
 def _chosen(
@@ -221,127 +218,108 @@ def _compute(
     executor: Executor | None,
     progress: Progress,
     tell: Callable[[Result | Claim], None],
-) -> tuple[list[Result | Claim], KeyboardInterrupt | None]:
+) -> tuple[list[Result], list[Claim], KeyboardInterrupt | None]:
     """All results in order, and what stopped the run; those stored are not computed again."""
-    names = [statement.id for statement in STATEMENTS]
-    sampled = [number for number, r in enumerate(work.requirements) if r.method == SAMPLED]
-    requirements = [
-        Task(f"requirement-{n}", f"{r.id} {r.quantity}", "requirement", n) for n, r in enumerate(work.requirements)
-    ]
-    tasks = [task for task in requirements if task.number not in sampled]
-    tasks += [Task(f"claim-{s.id}", f"{s.id} {s.title}", "claim", names.index(s.id)) for s in statements]
-    found: dict[str, Any] = {}
-    interruption = None
-    try:
-        _run_all(work, tasks, found, memory, jobs, executor, progress, tell)
-        if sampled:
-            boards = [
-                Task(f"samples-{k}", f"boards {k * BLOCK + 1} to {(k + 1) * BLOCK}", "samples", k)
-                for k in range(blocks(work.dut.samples))
-            ]
-            _run_all(work, boards, found, memory, jobs, executor, progress, tell)
-            dut = _known.setdefault(memory.fingerprint, work.dut)
-            for block, task in enumerate(boards):
-                for number, values in found[task.key].items():
-                    target, share = _sampled(dut, work.requirements[int(number)])
-                    keep(dut, block_of, (target, share, block), np.array(values))
-            last = [requirements[number] for number in sampled]
-            _run_all(work, last, found, memory, 1, None, progress, tell)
-    except KeyboardInterrupt as stopped:
-        interruption = stopped
-    results = [found.get(task.key) or stopped_result(work.requirements[task.number]) for task in requirements]
-    claims = [found.get(f"claim-{s.id}") or s.claim(Attempt(reason=STOPPED)) for s in statements]
-    return [*results, *claims], interruption
+    requirements = [Task(f"requirement-{n}", f"{r.id} {r.quantity}", r) for n, r in enumerate(work.requirements)]
+    claims = [Task(f"claim-{s.id}", f"{s.id} {s.title}", s.id) for s in statements]
+    drawn = [task for task, requirement in zip(requirements, work.requirements, strict=True) if _is_drawn(requirement)]
+    count = blocks(work.dut.samples) if drawn else 0
+    boards = [Task(f"samples-{k}", f"boards {k * BLOCK + 1} to {(k + 1) * BLOCK}", k) for k in range(count)]
+    total, found = len(requirements) + len(claims) + len(boards), dict[str, Any]()
 
-
-def _sampled(dut: DesignUnderTest, requirement: Requirement) -> tuple[Target, bool | None]:
-    """What random boards are judged by. Raises NotRun or DoesNotApply."""
-    quantity = CATALOGUE[requirement.quantity].compute
-    target = quantity.target(dut, requirement) if isinstance(quantity, Searched) else None
-    if not isinstance(target, Target):
-        raise NotRun("there is nothing to draw boards for")
-    return target, judged_by(requirement)
-
-
-def _block(dut: DesignUnderTest, requirements: Sequence[Requirement], block: int) -> dict[str, list[float]]:
-    """Values of one block of boards, by the number of the requirement; none of those that cannot be run."""
-    found = {}
-    for number, requirement in enumerate(requirements):
-        if requirement.method == SAMPLED:
-            with suppress(NotRun, DoesNotApply, OhmskinError):
-                found[str(number)] = block_of(dut, *_sampled(dut, requirement), block).tolist()
-    return found
-
-
-def _run_all(
-    work: Work,
-    tasks: list[Task],
-    found: dict[str, Any],
-    memory: _Store,
-    jobs: int,
-    executor: Executor | None,
-    progress: Progress,
-    tell: Callable[[Result | Claim], None],
-) -> None:
-    """Fill ``found`` with what the tasks find, and with what was stored of them."""
-    done = 0
-
-    def take(item: tuple[Task, Any], *, stored: bool = False) -> None:
-        nonlocal done
-        task, value = item
+    def take(answer: tuple[Task, Any]) -> None:
+        task, value = answer
         found[task.key] = value
-        done += 1
-        if not stored:
-            memory.save(task, value)
-            progress(done, len(tasks), task.what)
         if isinstance(value, Result | Claim):
             tell(value)
 
-    for task in tasks:
-        if (value := memory.load(task)) is not None:
-            take((task, value), stored=True)
-    left = [task for task in tasks if task.key not in found]
-    run = partial(_do, work)
-    # A port has one owner: what is measured on the board is measured here, one after the other.
-    in_processes(run, [task for task in left if _on_board(work, task)], jobs=1, done=take)
-    apart = [task for task in left if not _on_board(work, task)]
-    in_processes(run, apart, jobs=jobs, executor=executor, done=take)
+    def computed(answer: tuple[Task, Any]) -> None:
+        memory.save(*answer)
+        take(answer)
+        progress(len(found), total, answer[0].what)
+
+    def run(tasks: Iterable[Task]) -> None:
+        left = []
+        for task in tasks:
+            if (value := memory.load(task)) is None:
+                left.append(task)
+            else:
+                take((task, value))
+        # A port has one owner: what is measured on the board is measured here, one after the other.
+        here = [task for task in left if _on_board(work.dut, task)]
+        in_processes(partial(_do, work), here, jobs=1, done=computed)
+        apart = [task for task in left if task not in here]
+        in_processes(partial(_do, work), apart, jobs=jobs, executor=executor, done=computed)
+
+    interruption = None
+    try:
+        run(task for task in (*requirements, *claims) if task not in drawn)
+        run(boards)
+        for task in drawn:
+            assert isinstance(task.item, Requirement)
+            values = [found[block.key][task.item.id] for block in boards if task.item.id in found[block.key]]
+            sample = np.concatenate(values)[: work.dut.samples] if values else None
+            computed((task, evaluate(work.dut, task.item, work.own, sample)))
+    except KeyboardInterrupt as stopped:
+        interruption = stopped
+    results = [
+        found.get(task.key) or stopped_result(requirement)
+        for task, requirement in zip(requirements, work.requirements, strict=True)
+    ]
+    answers = [
+        found.get(task.key) or s.claim(Attempt(reason=STOPPED)) for task, s in zip(claims, statements, strict=True)
+    ]
+    return results, answers, interruption
 
 
-def _on_board(work: Work, task: Task) -> bool:
+def _is_drawn(requirement: Requirement) -> bool:
+    """Whether random boards judge a requirement, which are drawn in blocks before it is."""
+    return requirement.method == SAMPLED
+
+
+def _on_board(dut: DesignUnderTest, task: Task) -> bool:
     """Whether a task talks to the target of the run."""
-    if work.dut.target == "emulated":
-        return False
-    if task.kind == "requirement":
-        return work.requirements[task.number].method == HARDWARE
-    return task.kind == "claim" and STATEMENTS[task.number].id in ON_TARGET
+    measured = task.item in ON_TARGET if isinstance(task.item, str) else getattr(task.item, "method", "") == HARDWARE
+    return dut.target != "emulated" and measured
 
 
 _known: dict[str, DesignUnderTest] = {}
-"""In each process: the design under test with the intermediate results that earlier tasks have left."""
+"""In each process: the design of the latest run, with the intermediate results that earlier tasks have left."""
 
 
 def _do(work: Work, task: Task) -> tuple[Task, Any]:
     """One task, in whatever process."""
-    dut = _known.setdefault(_fingerprint(work), work.dut)
-    if len(_known) > 4:  # a long-lived worker serves many runs
+    if work.fingerprint not in _known:
         _known.clear()
-    if task.kind == "samples":
-        return task, _block(dut, work.requirements, task.number)
-    if task.kind == "requirement":
-        return task, evaluate(dut, work.requirements[task.number], work.own)
-    return task, STATEMENTS[task.number].tried(dut)
+    dut = _known.setdefault(work.fingerprint, work.dut)
+    match task.item:
+        case Requirement():
+            return task, evaluate(dut, task.item, work.own)
+        case str():
+            return task, next(s for s in STATEMENTS if s.id == task.item).tried(dut)
+        case block:
+            drawn = {r.id: _values(dut, r, block) for r in work.requirements if _is_drawn(r)}
+            return task, {id: values for id, values in drawn.items() if values}
 
 
-def _fingerprint(work: Work) -> str:
+def _values(dut: DesignUnderTest, requirement: Requirement, block: int) -> list[float]:
+    """By one block of boards; none of a requirement that cannot be run, which says so itself."""
+    compute = CATALOGUE[requirement.quantity].compute
+    with suppress(NotRun, DoesNotApply, OhmskinError):
+        if isinstance(compute, Searched) and isinstance(target := compute.target(dut, requirement), Target):
+            values: list[float] = block_of(dut, target, judged_by(requirement), block).tolist()
+            return values
+    return []
+
+
+def _fingerprint(dut: DesignUnderTest, requirements: Sequence[Requirement], own: Mapping[str, OwnFunction]) -> str:
     """SHA-256 of everything that the numbers depend on."""
-    dut = work.dut
     decides = {
         "version": __version__,
         "design": everything_of(dut.design),
         "cell": dut.cell.model_dump(),
-        "requirements": [requirement.model_dump(mode="python") for requirement in work.requirements],
-        "own code": {quantity: function.allowed and function.sha256 for quantity, function in work.own.items()},
+        "requirements": [requirement.model_dump(mode="python") for requirement in requirements],
+        "own code": {quantity: function.allowed and function.sha256 for quantity, function in own.items()},
         "target": dut.target,
         "jig": None if dut.jig is None else dut.jig.tolist(),
         "seed": dut.seed,
@@ -350,39 +328,37 @@ def _fingerprint(work: Work) -> str:
     return fingerprint(decides)
 
 
-class _Store:
+class _Store(NamedTuple):
     """Results of tasks in a folder, one JSON file each, so that a run can go on after an interruption."""
 
-    def __init__(self, folder: Path | None, fingerprint: str) -> None:
-        self.fingerprint = fingerprint
-        self._folder = None if folder is None else folder / fingerprint
+    folder: Path | None
 
     def load(self, task: Task) -> Any:
-        """What an earlier run found, or None."""
-        if self._folder is None or not (path := self._folder / f"{task.key}.json").is_file():
+        """What an earlier run found; None where there is nothing."""
+        if self.folder is None or not (path := self.folder / f"{task.key}.json").is_file():
             return None
         try:
             value = json.loads(read_text(path, most_bytes=1 << 28))
             kinds: dict[str, Any] = {"requirement": Result, "claim": Claim, "samples": dict[str, list[float]]}
-            return TypeAdapter(kinds[task.kind]).validate_python(value)
+            return TypeAdapter(kinds[task.key.partition("-")[0]]).validate_python(value)
         except (ValueError, InputError):  # a file of another version is computed again
             return None
 
     def save(self, task: Task, value: Any) -> None:
-        if self._folder is None:
+        if self.folder is None:
             return
-        make_folder(self._folder)
+        make_folder(self.folder)
         plain = dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else value
-        write_text(self._folder / f"{task.key}.json", json.dumps(plain, default=_plain))
+        write_text(self.folder / f"{task.key}.json", json.dumps(plain, default=_plain))
 
     def clear(self) -> None:
         """The run is complete: its report takes the place of what was stored."""
-        if self._folder is None or not self._folder.is_dir():
+        if self.folder is None or not self.folder.is_dir():
             return
-        for path in self._folder.glob("*.json"):
+        for path in self.folder.glob("*.json"):
             path.unlink(missing_ok=True)
         with suppress(OSError):
-            self._folder.rmdir()
+            self.folder.rmdir()
 
 
 def _plain(value: Any) -> Any:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from ..circuits import Design
 from ._units import engineering
 
-_STROKE = 'fill="none" stroke="currentColor" stroke-width="1.4"'
+_STROKE = 'stroke="currentColor" stroke-width="1.4"'
+_PAPER = 'fill="var(--paper, white)"'
 PITCH_X, PITCH_Y = 260.0, 120.0
 LEFT, TOP = 270.0, 60.0
 
@@ -22,39 +23,35 @@ class _Drawing:
 
     def line(self, *points: tuple[float, float]) -> None:
         path = " ".join(f"{x:g},{y:g}" for x, y in points)
-        self.elements.append(f'<polyline points="{path}" {_STROKE}/>')
+        self.elements.append(f'<polyline points="{path}" fill="none" {_STROKE}/>')
 
     def dot(self, x: float, y: float) -> None:
         self.elements.append(f'<circle cx="{x:g}" cy="{y:g}" r="2.6" fill="currentColor"/>')
 
-    def text(self, x: float, y: float, words: str, *, anchor: str = "middle", size: float = 12.0) -> None:
+    def text(self, x: float, y: float, words: str, *, anchor: str = "middle", size: float = 11.0) -> None:
         safe = words.replace("&", "&amp;").replace("<", "&lt;")
         self.elements.append(
             f'<text x="{x:g}" y="{y:g}" text-anchor="{anchor}" font-size="{size:g}" fill="currentColor">{safe}</text>'
         )
 
-    def resistor(self, x: float, y: float, *, vertical: bool = False, length: float = 36.0) -> None:
-        """A box of ``length`` around (x, y); the wire is interrupted by it."""
-        width, height = (12.0, length) if vertical else (length, 12.0)
-        self.elements.append(
-            f'<rect x="{x - width / 2:g}" y="{y - height / 2:g}" width="{width:g}" height="{height:g}" '
-            'fill="var(--paper, white)" stroke="currentColor" stroke-width="1.4"/>'
-        )
+    def lines(self, x: float, y: float, texts: Iterable[str], *, size: float) -> None:
+        """Texts below each other."""
+        for number, words in enumerate(filter(None, texts)):
+            self.text(x, y + 13 * number, words, anchor="start", size=size)
 
-    def capacitor(self, x: float, y: float, *, vertical: bool = False) -> None:
-        """Two plates around (x, y)."""
-        if vertical:
-            self.elements.append(
-                f'<rect x="{x - 9:g}" y="{y - 3:g}" width="18" height="6" fill="var(--paper, white)" stroke="none"/>'
-            )
-            self.line((x - 9, y - 3), (x + 9, y - 3))
-            self.line((x - 9, y + 3), (x + 9, y + 3))
-        else:
-            self.elements.append(
-                f'<rect x="{x - 3:g}" y="{y - 9:g}" width="6" height="18" fill="var(--paper, white)" stroke="none"/>'
-            )
-            self.line((x - 3, y - 9), (x - 3, y + 9))
-            self.line((x + 3, y - 9), (x + 3, y + 9))
+    def box(self, x: float, y: float, width: float, height: float, stroke: str = _STROKE) -> None:
+        """Around (x, y); wires are interrupted by it."""
+        corner = f'x="{x - width / 2:g}" y="{y - height / 2:g}" width="{width:g}" height="{height:g}"'
+        self.elements.append(f"<rect {corner} {_PAPER} {stroke}/>")
+
+    def resistor(self, x: float, y: float, *, vertical: bool = False, length: float = 36.0) -> None:
+        self.box(x, y, *((12.0, length) if vertical else (length, 12.0)))
+
+    def capacitor(self, x: float, y: float) -> None:
+        """Two plates around (x, y) in a vertical wire."""
+        self.box(x, y, 18, 6, 'stroke="none"')
+        for plate in (y - 3, y + 3):
+            self.line((x - 9, plate), (x + 9, plate))
 
     def ground(self, x: float, y: float) -> None:
         for half, down in ((9, 0), (6, 4), (3, 8)):
@@ -62,10 +59,8 @@ class _Drawing:
 
     def amplifier(self, x: float, y: float) -> None:
         """A triangle that points down from (x, y): inputs 20 px to the left (-) and right (+), output at y + 52."""
-        self.elements.append(
-            f'<polygon points="{x - 34:g},{y:g} {x + 34:g},{y:g} {x:g},{y + 52:g}" '
-            'fill="var(--paper, white)" stroke="currentColor" stroke-width="1.4"/>'
-        )
+        corners = f"{x - 34:g},{y:g} {x + 34:g},{y:g} {x:g},{y + 52:g}"
+        self.elements.append(f'<polygon points="{corners}" {_PAPER} {_STROKE}/>')
         self.text(x - 17, y + 15, "−", size=14)
         self.text(x + 17, y + 15, "+", size=14)
 
@@ -96,15 +91,15 @@ def schematic(design: Design) -> str:
             drawing.resistor(cell_x, y + 25, vertical=True, length=26)
             drawing.dot(cell_x, y)
             drawing.dot(x, y + 45)
-            drawing.text(cell_x - 12, y + 29, f"R{_place(design, row, column)}", anchor="end", size=11)
+            drawing.text(cell_x - 12, y + 29, f"R{_place(design, row, column)}", anchor="end")
             if row + 1 < rows and _some(segment):
                 drawing.resistor(x, y + 85, vertical=True, length=24)
                 if column == 0:
-                    drawing.text(x + 10, y + 89, _value(segment, "ohm"), anchor="start", size=11)
+                    drawing.text(x + 10, y + 89, _value(segment, "ohm"), anchor="start")
         if _some(lead):
             drawing.resistor(x, bottom + 70, vertical=True, length=26)
             if column == 0:
-                drawing.text(x + 10, bottom + 74, f"lead {_value(lead, 'ohm')}", anchor="start", size=11)
+                drawing.text(x + 10, bottom + 74, f"lead {_value(lead, 'ohm')}", anchor="start")
         _end(drawing, design, x, bottom + 90, label=column == 0)
     size = f"{design.array.rows} × {design.array.columns} cells"
     drawing.text(LEFT + 55, 22, f"{design.readout.circuit}, {size}; drawn: {_drawn(design)}", size=13)
@@ -126,18 +121,18 @@ def _row(drawing: _Drawing, design: Design, row: int, right: float) -> None:
         _reference(drawing, design, LEFT - 52, y + 70)
         drawing.dot(LEFT - 52, y)
         if row == 0:
-            drawing.text(LEFT - 64, y + 40, _value(design.drive.idle_row_resistance, "ohm"), anchor="end", size=11)
-    drawing.text(132, y - 3, f"{kind} {design.board.driven_line(row)}", anchor="end")
+            drawing.text(LEFT - 64, y + 40, _value(design.drive.idle_row_resistance, "ohm"), anchor="end")
+    drawing.text(132, y - 3, f"{kind} {design.board.driven_line(row)}", anchor="end", size=12)
     words = f"selected: {drive}" if row == 0 else f"idle: {idle}"
     drawing.text(132, y + 12, words, anchor="end", size=10.5)
     if _some(lead):
         drawing.resistor(190, y)
         if row == 0:
-            drawing.text(190, y - 12, f"lead {_value(lead, 'ohm')}", size=11)
+            drawing.text(190, y - 12, f"lead {_value(lead, 'ohm')}")
     if right > LEFT and _some(segment):
         drawing.resistor(LEFT + PITCH_X / 2 + 25, y, length=28)
         if row == 0:
-            drawing.text(LEFT + PITCH_X / 2 + 25, y - 12, f"segment {_value(segment, 'ohm')}", size=11)
+            drawing.text(LEFT + PITCH_X / 2 + 25, y - 12, f"segment {_value(segment, 'ohm')}")
 
 
 def _drawn(design: Design) -> str:
@@ -160,8 +155,7 @@ def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) 
         idle = {"float": "open", "ground": "at the reference", "load": "at loads of their own"}[readout.idle_columns]
         drawing.dot(x, y)
         if label:
-            for number, words in enumerate((f"one {part} behind a switch,", f"idle {kind}s {idle}")):
-                drawing.text(x + 12, y + 2 + 13 * number, words, anchor="start", size=10.5)
+            drawing.lines(x + 12, y + 2, (f"one {part} behind a switch,", f"idle {kind}s {idle}"), size=10.5)
     if not design.board.circuit.virtual_ground:
         drawing.line((x, y), (x, y + 30))
         drawing.line((x, y + 30), (x, y + 110))
@@ -170,9 +164,9 @@ def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) 
         drawing.line((x, y + 30), (x + 60, y + 30))
         drawing.dot(x, y + 30)
         if label:
-            drawing.text(x + 12, y + 74, _value(readout.reference_resistance, "ohm"), anchor="start", size=11)
+            drawing.text(x + 12, y + 74, _value(readout.reference_resistance, "ohm"), anchor="start")
             if words := design.board.circuit.behind_the_load:
-                drawing.text(x + 12, y + 100, words, anchor="start", size=11)
+                drawing.text(x + 12, y + 100, words, anchor="start")
         _converter(drawing, design, x + 60, y + 30, label=label)
         return
     drawing.line((x, y), (x, y + 60), (x + 10, y + 60), (x + 10, y + 66))
@@ -190,10 +184,10 @@ def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) 
     drawing.dot(amplifier_x, out + 12)
     if readout.feedback_capacitance:
         drawing.line((x, y + 40), (side + 24, y + 40), (side + 24, out + 4), (amplifier_x, out + 4))
-        drawing.capacitor(side + 24, y + 80, vertical=True)
+        drawing.capacitor(side + 24, y + 80)
     if label:
-        drawing.text(side - 10, y + 76, "Rref", anchor="end", size=11)
-        drawing.text(side - 10, y + 91, _value(readout.reference_resistance, "ohm"), anchor="end", size=11)
+        drawing.text(side - 10, y + 76, "Rref", anchor="end")
+        drawing.text(side - 10, y + 91, _value(readout.reference_resistance, "ohm"), anchor="end")
         if readout.feedback_capacitance:
             drawing.text(
                 side - 10, y + 112, f"Cf {engineering(readout.feedback_capacitance, 'F')}", anchor="end", size=11
@@ -204,8 +198,7 @@ def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) 
             f"offset {_value(readout.offset_voltage, 'V')}" if _some(readout.offset_voltage) else "",
             f"swing {readout.supply[0]:g} … {readout.supply[1]:g} V" if np.isfinite(readout.supply).any() else "",
         ]
-        for number, words in enumerate(filter(None, values)):
-            drawing.text(amplifier_x + 40, top + 26 + 13 * number, words, anchor="start", size=10)
+        drawing.lines(amplifier_x + 40, top + 26, values, size=10)
     _converter(drawing, design, amplifier_x, out + 26, label=label)
 
 
@@ -222,11 +215,8 @@ def _reference(drawing: _Drawing, design: Design, x: float, y: float) -> None:
 
 def _converter(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) -> None:
     adc = design.adc
-    drawing.elements.append(
-        f'<rect x="{x - 24:g}" y="{y:g}" width="48" height="24" fill="var(--paper, white)" stroke="currentColor" '
-        'stroke-width="1.4" stroke-dasharray="' + ("none" if adc else "3 3") + '"/>'
-    )
-    drawing.text(x, y + 16, "ADC", size=11)
+    drawing.box(x, y + 12, 48, 24, f'{_STROKE} stroke-dasharray="{"none" if adc else "3 3"}"')
+    drawing.text(x, y + 16, "ADC")
     if label and adc:
         drawing.text(x + 32, y + 12, f"{adc.bits} bit, {adc.range[0]:g} … {adc.range[1]:g} V", anchor="start", size=10)
 

@@ -33,26 +33,20 @@ from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._box import Box, Corners
 from ._parameters import TEMPERATURE
 from ._tuning import (
-    FEWEST_CLIMBS,
+    FEW,
     FIRST_ORDER_BEYOND,
-    LEAST_GAIN,
     LEAST_RISE,
     LEAST_SOLVED,
     LINE_POINTS,
     LINE_POINTS_IN_TIME,
-    MOST_CLIMB_WORK,
     MOST_FLIPS,
     MOST_LINES,
     MOST_NEAR,
     MOST_ROUNDS,
     MOST_UNKNOWNS,
-    RANDOM_CELLS,
     RANDOM_CORNERS,
-    USUAL_BY_GRADIENT,
-    USUAL_LINES,
-    USUAL_ROUNDS,
-    USUAL_STARTS,
-    WITHOUT_INFLUENCE,
+    ROUNDING,
+    WORK,
     ZOOMS,
 )
 
@@ -195,7 +189,7 @@ class WorstCase:
         added = np.zeros(box.size) if slopes is None else np.where(moved, np.abs(slopes), 0.0)
         if slopes is None:  # each part alone, to both of its ends
             search = _Search(self.target, box, moved)
-            which = np.flatnonzero(search.free if search.exact else search._near(centre))
+            which = np.flatnonzero(search.free if search.exact else search.near(centre))
             x = np.repeat(centre.x, 2 * len(which), axis=0)
             x[np.arange(len(x)), np.repeat(which, 2)] = np.tile([-1.0, 1.0], len(which))
             reached = self.target.evaluate_at(box, centre.at(x[None]), self.cell).reshape(-1, 2)
@@ -210,7 +204,7 @@ class WorstCase:
         """The worst value with each kind of part over its tolerance alone, the others nominal; presses are free."""
         box, names = self.box, [factor.key for factor in self.box.factors.factors]
         of_cells = ["cells.rest_resistance"] if box.cell_spread else []
-        starts = Corners.joined([self.corner, self.others.some(slice(0, FEWEST_CLIMBS))])
+        starts = Corners.joined([self.corner, self.others.some(slice(0, FEW))])
         values = {}
         for kind in ["nominal parts", *dict.fromkeys(names), *of_cells]:
             free = np.ones(box.size, dtype=np.bool_)
@@ -237,22 +231,9 @@ def worst_case(target: Target, box: Box, starts: Sequence[Corners] = ()) -> Wors
     search = _Search(target, box)
     search.solve(Corners.joined([target.starts(box), *starts]))
     random = np.random.default_rng(0)
-    worst = search.worst(2 * RANDOM_CELLS if target.by_cell else 1)
+    worst = search.worst(2 * FEW if target.by_cell else 1)
     search.solve(worst.at(random.choice([-1.0, 1.0], (len(worst), RANDOM_CORNERS, box.size))))
     return search.finished()
-
-
-def expected_points(target: Target, box: Box) -> float:
-    """About how many points a search will solve: counted from what it starts from, flips and searches along lines."""
-    search = _Search(target, box)
-    free = int(search.free.sum())
-    starts = 4 * min(most_solved(box.shape), box.cells) if target.by_cell else USUAL_STARTS
-    random = RANDOM_CORNERS * (2 * RANDOM_CELLS if target.by_cell else 1)
-    by_gradient = target.by_cell and (box.cells > FIRST_ORDER_BEYOND or not search.exact)
-    climbed = search.climbs * USUAL_ROUNDS * (USUAL_BY_GRADIENT if by_gradient else free)
-    coordinates = free if search.exact and box.cells <= FIRST_ORDER_BEYOND else int(search.near(0, 0).sum())
-    lines = USUAL_LINES * (LINE_POINTS * coordinates + USUAL_ROUNDS * (free if search.exact else 0))
-    return float(starts + random + climbed + lines)
 
 
 class _Search:
@@ -268,8 +249,9 @@ class _Search:
         self.parts: list[tuple[Corners, FloatArray]] = []
         flips = max(int(self.free.sum()), 1) * target.cost(box)
         self.exact = flips <= MOST_FLIPS
-        most = 64 if target.by_cell else FEWEST_CLIMBS
-        self.climbs = int(np.clip(MOST_CLIMB_WORK // (3 * flips), 2 * FEWEST_CLIMBS if target.by_cell else 1, most))
+        self.lines = box.lines() & self.free
+        most = 64 if target.by_cell else FEW
+        self.climbs = int(np.clip(WORK // (3 * flips), 2 * FEW if target.by_cell else 1, most))
 
     def solve(self, corners: Corners) -> FloatArray:
         """Solve corners and keep them; returns their values."""
@@ -296,9 +278,7 @@ class _Search:
             keys = np.sign(corners.x[order]).astype(np.intp)
         _, first = np.unique(keys, axis=0, return_index=True)
         order = order[np.sort(first)]
-        if (
-            self.target.by_cell
-        ):  # as many of either sign: where a reading stops at a limit, one of them starts from nothing
+        if self.target.by_cell:  # as many of either sign: where a reading stops at a limit, one starts from nothing
             negative = corners.sign[order] < 0
             rank = np.where(negative, np.cumsum(negative), np.cumsum(~negative))
             order = order[np.argsort(rank, kind="stable")]
@@ -336,7 +316,7 @@ class _Search:
             solved=self.solved,
             settled=settled,
             flips_solved=self.exact,
-            others=known.some(order[: 32 * FEWEST_CLIMBS]),
+            others=known.some(order[: 32 * FEW]),
         )
 
     def _elsewhere(self, climbed: _Climbed) -> Corners:
@@ -362,7 +342,7 @@ class _Search:
         x = np.repeat(corner.x, parts, axis=0)
         each = np.arange(parts)
         x[each, each] = np.where(x[each, each] > 0, -1.0, 1.0)
-        small = WITHOUT_INFLUENCE * max(abs(value), 1e-12)
+        small = ROUNDING * max(abs(value), 1e-12)
         without = np.abs(self.evaluate(corner.at(x[None])) - value) <= small
         plainer = corner.x.copy()
         plainer[0, :parts] = np.where(without, 0.0, plainer[0, :parts])
@@ -381,89 +361,73 @@ class _Search:
         return self._climb(found.corners.some(best), found.values[best], exact=True)
 
     def _climb(self, corners: Corners, values: FloatArray, *, exact: bool) -> _Climbed:
-        """Flip the coordinates that raise the value, for all corners side by side, until none does."""
+        """Make the moves that raise the value, for all corners side by side, until none does."""
         corners, values = replace(corners, x=corners.x.copy()), values.copy()
         settled = ~np.isfinite(values)
         for _ in range(MOST_ROUNDS):
             active = np.flatnonzero(~settled)
             if not len(active):
                 break
-            for some in np.array_split(active, -(-len(active) * self.box.size**2 // (1 << 22))):
-                here = corners.some(some)
-                step = self._flipped_together if exact else self._moved_together
-                trial, best = step(here, values[some])
-                better = best > values[some] + LEAST_GAIN * np.abs(values[some])
+            for some in np.array_split(active, min(-(-len(active) * self.box.size**2 // (1 << 22)), len(active))):
+                trial, best = self._moved_together(corners.some(some), values[some], exact=exact)
+                better = best > values[some] + ROUNDING * np.abs(values[some])
                 corners.x[some[better]], values[some[better]] = trial[better], best[better]
                 settled[some] = ~better | np.isinf(best)
         return _Climbed(corners, values, settled)
 
-    def _flipped_together(self, corners: Corners, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The best of each corner with its 1, 2, 4, ... most promising flips; coordinates (C, D) and values (C,)."""
-        gains = np.full(corners.x.shape, -inf)
-        free = np.flatnonzero(self.free)
-        x = np.repeat(corners.x[:, None], len(free), axis=1)
-        each = np.arange(len(free))
-        x[:, each, free] = np.where(x[:, each, free] > 0, -1.0, 1.0)
-        gains[:, free] = self.evaluate(corners.at(x)).reshape(len(corners), -1) - values[:, None]
-        helpful = (gains > LEAST_GAIN * np.abs(values)[:, None]).sum(axis=1)
-        order = np.argsort(-gains, axis=1, kind="stable")
-        counts = _doubling(int(helpful.max(initial=0)))
-        rank = np.empty_like(order)
-        np.put_along_axis(rank, order, np.arange(order.shape[1])[None].repeat(len(order), axis=0), axis=1)
-        flips = rank[:, None] < np.minimum(counts[None, :], helpful[:, None])[..., None]
-        x = np.where(flips, np.where(corners.x > 0, -1.0, 1.0)[:, None], corners.x[:, None])
-        found = self.evaluate(corners.at(x)).reshape(len(corners), -1)
-        best = found.argmax(axis=1)
-        rows = np.arange(len(corners))
-        return x[rows, best], found[rows, best]
-
-    def _moved_together(self, corners: Corners, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """As :meth:`_flipped_together`, by derivatives, or by flips of parts, near cells and lines."""
-        found_x, found = corners.x.copy(), values.copy()
-        for number in range(len(corners)):
-            corner, value = corners.some(slice(number, number + 1)), float(values[number])
-            slopes = self.target.gradient(self.box, corner)
-            other = np.where(corner.x[0] > 0, -1.0, 1.0)
-            if slopes is not None:
-                gains = np.where(self.free, slopes * (other - corner.x[0]), -inf)
-                order = np.argsort(-gains, kind="stable")[: int((gains > LEAST_GAIN * abs(value)).sum())]
-                ends = np.broadcast_to(other, (len(order), len(other)))
-                masks = np.eye(len(other), dtype=np.bool_)[order]
-            else:
-                masks, ends = self._moves(corner)
-                gains = self.evaluate(corner.at(np.where(masks, ends, corner.x)[None])) - value
-                order = np.argsort(-gains, kind="stable")[: int((gains > LEAST_GAIN * abs(value)).sum())]
-                masks, ends = masks[order], ends[order]
-            if not len(order):
-                continue
-            x = corner.x[0].copy()
-            trials, counts = [], _doubling(len(order))
-            for count in range(1, len(order) + 1):
-                x = np.where(masks[count - 1], ends[count - 1], x)
-                if count in counts:
+    def _moved_together(self, corners: Corners, values: FloatArray, *, exact: bool) -> tuple[FloatArray, FloatArray]:
+        """The best of each corner with its 1, 2, 4, ... most promising moves; coordinates (C, D) and values (C,)."""
+        row, moves, gains = self._gains(corners, values, exact=exact)
+        helpful = gains > ROUNDING * np.abs(values[row])
+        owner, trials = [], []
+        for number, corner in enumerate(corners.x):
+            mine = np.flatnonzero(helpful & (row == number))
+            x, tried = corner, _doubling(len(mine))
+            for count, move in enumerate(moves[mine[np.argsort(-gains[mine], kind="stable")]].tolist(), 1):
+                x = self._after(x[None], np.array([move]), corner[None])[0]
+                if count in tried:
+                    owner.append(number)
                     trials.append(x)
-            together = np.stack(trials)
-            reached = self.evaluate(corner.at(together[None]))
-            best = int(reached.argmax())
-            if reached[best] > value:
-                found_x[number], found[number] = together[best], reached[best]
+        found_x, found = corners.x.copy(), values.copy()
+        if trials:
+            reached = self.evaluate(replace(corners.some(np.array(owner)), x=np.stack(trials)))
+            for number, x, value in zip(owner, trials, reached.tolist(), strict=True):
+                if value > found[number]:
+                    found_x[number], found[number] = x, value
         return found_x, found
 
-    def _moves(self, corner: Corners) -> tuple[BoolArray, FloatArray]:
-        """Coordinates (K, D) that are moved together, and where to: single ones near the judged cell, and lines."""
-        near = np.flatnonzero(self._near(corner))
-        singles = np.eye(self.box.size, dtype=np.bool_)[near]
-        flipped = np.broadcast_to(np.where(corner.x[0] > 0, -1.0, 1.0), singles.shape)
-        lines = self.box.lines() & self.free
-        ones = np.ones(lines.shape)
-        return np.concatenate([singles, lines, lines]), np.concatenate([flipped, ones, -ones])
+    def _gains(self, corners: Corners, values: FloatArray, *, exact: bool) -> tuple[IntArray, IntArray, FloatArray]:
+        """What moves would add: the corner (K,) that each belongs to, the move (K,), and its gain (K,).
 
-    def _near(self, corner: Corners) -> BoolArray:
+        Either every flip is solved, or flips are taken from derivatives; of targets without these, flips near the worst
+        cell and whole lines are solved.
+        """
+        each, free, size = np.arange(len(corners)), np.flatnonzero(self.free), self.box.size
+        row, moves = np.repeat(each, len(free)), np.tile(free, len(each))
+        if not exact:
+            found = (self.target.gradient(self.box, corners.some(each[[n]])) for n in each)
+            slopes = [slope for slope in found if slope is not None]
+            if slopes:
+                return row, moves, (np.stack(slopes) * (np.where(corners.x > 0, -1.0, 1.0) - corners.x))[row, moves]
+            lines = np.arange(size, size + 2 * len(self.lines))
+            near = [np.append(np.flatnonzero(self.near(corners.some(each[[n]]))), lines) for n in each]
+            row, moves = np.repeat(each, [len(some) for some in near]), np.concatenate(near)
+        here = corners.some(row)
+        return row, moves, self.evaluate(replace(here, x=self._after(here.x, moves, here.x))) - values[row]
+
+    def _after(self, x: FloatArray, moves: IntArray, start: FloatArray) -> FloatArray:
+        """Coordinates (K, D) after a move (K,) each: one coordinate to the other end than in ``start``, or a line."""
+        x, size = x.copy(), self.box.size
+        flips = np.flatnonzero(moves < size)
+        x[flips, moves[flips]] = np.where(start[flips, moves[flips]] > 0, -1.0, 1.0)
+        for k in np.flatnonzero(moves >= size):
+            line, low = divmod(int(moves[k]) - size, 2)
+            x[k, self.lines[line]] = -1.0 if low else 1.0
+        return x
+
+    def near(self, corner: Corners) -> BoolArray:
         """(D,) parts, and cells near the worst one; of them only that one where many cost too much."""
-        return self.near(*self.target.place(self.box, corner))
-
-    def near(self, row: int, column: int) -> BoolArray:
-        """As :meth:`_near`, by the cell."""
+        row, column = self.target.place(self.box, corner)
         near = self.free & self.box.near(row, column)
         if near.sum() * self.target.cost(self.box) > MOST_NEAR:
             parts, place = len(self.box.factors), row * self.box.shape[1] + column
@@ -494,33 +458,32 @@ class _Search:
 
     def _line_search(self, corner: Corners, value: float) -> tuple[FloatArray, float]:
         """The best point (D,) that differs from a corner in one coordinate, and its value."""
-        looked_at = self.free.copy()
-        if self.box.cells > FIRST_ORDER_BEYOND or not self.exact:
-            looked_at = self._near(corner)
-        free, parts = np.flatnonzero(looked_at), len(self.box.factors)
-        fine = [k for k in free if self.target.in_time and k < parts and self.box.factors.factors[k].line is None]
+        every = self.exact and self.box.cells <= FIRST_ORDER_BEYOND
+        looked_at = np.flatnonzero(self.free if every else self.near(corner)).tolist()
+        shared = [factor.line is None for factor in self.box.factors.factors] if self.target.in_time else []
+        grids = [
+            np.linspace(-1.0, 1.0, LINE_POINTS_IN_TIME if k < len(shared) and shared[k] else LINE_POINTS)
+            for k in looked_at
+        ]
         best_x, best = corner.x[0], value
-        for coordinates, points in ((fine, LINE_POINTS_IN_TIME), ([k for k in free if k not in fine], LINE_POINTS)):
-            if not coordinates:
-                continue
-            grid = np.linspace(-1.0, 1.0, points)
-            x = np.repeat(corner.x, len(coordinates) * points, axis=0)
-            place = np.repeat(coordinates, points)
-            x[np.arange(len(x)), place] = np.tile(grid, len(coordinates))
-            reached = self.evaluate(corner.at(x[None]))
-            top = int(reached.argmax())
-            at, width = float(x[top, place[top]]), 2.0 / (points - 1)
-            for _ in range(ZOOMS):
-                if np.isinf(reached[top]):
-                    break
-                near = np.clip(np.linspace(at - width, at + width, LINE_POINTS), -1.0, 1.0)
-                x = np.repeat(x[[top]], LINE_POINTS, axis=0)
-                x[:, place[top]] = near
-                reached, place, top = self.evaluate(corner.at(x[None])), np.repeat(place[top], LINE_POINTS), 0
-                top = int(reached.argmax())
-                at, width = float(near[top]), 2.0 * width / (LINE_POINTS - 1)
+        if not grids:
+            return best_x, best
+        place = np.repeat(looked_at, [len(grid) for grid in grids])
+        x = np.repeat(corner.x, len(place), axis=0)
+        x[np.arange(len(x)), place] = np.concatenate(grids)
+        reached = self.evaluate(corner.at(x[None]))
+        top = int(reached.argmax())
+        along, width = place[top], 2.0 / (len(grids[looked_at.index(place[top])]) - 1)
+        for zoom in range(ZOOMS + 1):
             if reached[top] > best:
                 best_x, best = x[top], float(reached[top])
+            if zoom == ZOOMS or np.isinf(reached[top]):
+                break
+            near = np.clip(x[top, along] + width * np.linspace(-1.0, 1.0, LINE_POINTS), -1.0, 1.0)
+            x = np.repeat(x[[top]], LINE_POINTS, axis=0)
+            x[:, along] = near
+            reached = self.evaluate(corner.at(x[None]))
+            top, width = int(reached.argmax()), 2.0 * width / (LINE_POINTS - 1)
         return best_x, best
 
 

@@ -22,13 +22,11 @@ from ._dut import DesignUnderTest
 from ._judging import worst_of
 from ._outcome import DoesNotApply, Measurement, NotRun
 from ._units import engineering
-from ._whole_board import PhaseMarginTarget
+from ._whole_board import SETTLED, PhaseMarginTarget
 from .quantities.settling import nominal_settling, rate_of
 
 MOST_DRIVEN, MOST_SENSED = 64, 4
 """lines that ngspice is given where its numbers are judged: an amplifier is loaded by all cells of its own line"""
-SETTLED, TIMES_SETTLED = 1e-9, 4.0
-"""A sample of a one-pole amplifier later than so many times its time to settle to this error is not waited for."""
 _log = logging.getLogger(__name__)
 
 
@@ -116,8 +114,7 @@ def _simulated(dut: DesignUnderTest, requirement: Requirement, analysis: str) ->
         if analysis == "transient":
             period = 1.0 / (rate_of(dut, requirement) * whole.board.shape[0])
             if design.readout.amplifier_model is None:
-                latest = TIMES_SETTLED * Settling(linear(design), cells).shortest_period(SETTLED)
-                period = min(period, latest)
+                period = min(period, Settling(linear(design), cells).shortest_period(SETTLED))
         for line in range(design.board.shape[0]) if analysis == "transient" and number > 2 else (0,):
             reading = spice.dynamic_reading(design, cells, line, period=period, analyses=[analysis])
             if analysis == "transient":

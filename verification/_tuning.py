@@ -9,37 +9,29 @@ Limits that requirements are judged by are no tuned numbers; they stand with the
 LEAST_SOLVED, MOST_UNKNOWNS = 64, 256 * 256
 """cells, and cells times cells: corners are solved for every cell of up to 16 x 16, and for fewer of larger arrays, per
 sign and state"""
-MOST_CLIMB_WORK = 1_500_000
-"""cells solved while corners are improved: seconds for a quantity"""
-MOST_FLIPS = 400_000
-"""cells solved for all flips of one corner, up to which flips are solved"""
-MOST_NEAR = 200_000
-"""cells solved for flips near the worst cell, up to which they are solved where not all are"""
+WORK = 1_600_000
+"""cells solved while corners are improved, and for the boards beside a worst case: seconds for a quantity"""
+MOST_FLIPS, MOST_NEAR = WORK // 4, WORK // 8
+"""cells solved for all flips of one corner, up to which flips are solved; and else for those near the worst cell"""
 FIRST_ORDER_BEYOND = 100
 """cells of an array beyond which corners are improved by derivatives before their flips are solved"""
-FEWEST_CLIMBS = 4
-"""corners that are improved on the largest arrays"""
-RANDOM_CELLS, RANDOM_CORNERS = 4, 16
-"""cells per sign, and corners of each, that are drawn at random"""
+FEW = 4
+"""corners that are improved on the largest arrays; cells per sign that have corners drawn at random; presses that a
+random board is judged under at once; searches for a board with a longer frame"""
+RANDOM_CORNERS = 16
+"""corners of each of these cells, and random ones among the starts of targets of whole boards"""
 MOST_ROUNDS = 30
 """of improvement; two are usual"""
-LEAST_GAIN = 1e-9
-"""relative; rounding of a solved reading is less"""
-WITHOUT_INFLUENCE = 1e-10
+ROUNDING = 1e-9
 """relative; a flip that changes the value by less changes nothing"""
 LINE_POINTS, LINE_POINTS_IN_TIME = 7, 41
 """of a line search along a coordinate; ringing has several peaks between two ends"""
 ZOOMS, MOST_LINES = 3, 6
 """of a line search to the neighbours of the best point, a third of the step each; line searches one after the other"""
 LEAST_RISE = 1e-5
-"""relative, of a line search; less does not show in four digits"""
-USUAL_ROUNDS, USUAL_LINES, USUAL_BY_GRADIENT, USUAL_STARTS = 2.0, 1.5, 12, 26
-"""how often a search climbs and goes along lines, points that a climb by derivatives solves, and starts of targets of
-whole boards: for the expected time only, which is known to a factor of two or three"""
-STARTS_AT_RANDOM = 12
-"""random corners among the starts of targets of whole boards"""
-MOST_LONGEST_FRAMES, SAME_FRAME_TIME = 4, 1e-3
-"""searches for a board with a longer frame, and the relative difference that ends them"""
+"""relative, of a line search or of the longest frame; less does not show in four digits"""
+DIFFERENCE = 1e-3
+"""of the way from a nominal value to its end: a derivative is then rounded to 1e-9 of a reading, and curved by 1e-6"""
 MOST_CELLS_BY_PART = 16 * 16
 """cells of an array up to which each kind of part is searched alone"""
 
@@ -51,23 +43,15 @@ PERIODS = 16.0
 """what the shortest period of a board costs, over one period of it: some thirty periods of one solution are tried"""
 CELLS_TOGETHER = 1 << 20
 """cells that are read in one call: arrays of 8 MB"""
-ENTRIES_TOGETHER = 1 << 17
-"""entries of the matrices of boards in time that are solved in one call"""
-TIMED_CELLS, TIMED_FEWEST, TIMED_MOST = 20_000, 4, 64
-"""cells that are solved to time a point, and points that are timed together at least and at most"""
 
 # -- random boards (_montecarlo.py) -----------------------------------------------------------------------------------
 
 BLOCK = 100
 """boards that are drawn and computed in one piece; a number of the method, on which the samples depend"""
-TOGETHER, MOST_TRIES = 4, 12
-"""cells and presses of a board that are solved at once, and so many times at most"""
+MOST_TRIES = 12
+"""times that :data:`FEW` cells and presses of a board are solved"""
 ROOM = 0.02
 """relative error of a value to first order, within which a candidate may still be the worst"""
-MOST_BESIDE = 1_000_000
-"""cells solved for the boards beside a worst case"""
-FOUND, FOUND_WHOLE = 4, 2
-"""presses of the search's own worst corners under which every board is judged, and of boards that are judged whole"""
 MOST_BOARDS = 10_000_000
 """beyond which nobody is told how many boards would decide"""
 

@@ -25,10 +25,10 @@ from ..circuits import (
     read_together,
     stability_of_boards,
 )
-from ..common.arrays import FloatArray
+from ..common.arrays import IN_CACHE, FloatArray
 from ._box import Box, Corners
 from ._search import Target
-from ._tuning import ENTRIES_TOGETHER, PERIODS, STARTS_AT_RANDOM
+from ._tuning import PERIODS, RANDOM_CORNERS
 
 MOST_SECONDS = 1.0
 """of a frame that never settles"""
@@ -67,8 +67,8 @@ class WholeBoardTarget(Target):
         patterns += [(row == 0) & (column == 0)]
         pressed = np.array([side for pattern in patterns for side in (pattern, 1 - np.asarray(pattern))], dtype=float)
         random = np.random.default_rng(1)
-        x = np.zeros((len(pressed) + STARTS_AT_RANDOM, box.size))
-        x[len(pressed) :] = random.choice([-1.0, 1.0], (STARTS_AT_RANDOM, box.size))
+        x = np.zeros((len(pressed) + RANDOM_CORNERS, box.size))
+        x[len(pressed) :] = random.choice([-1.0, 1.0], (RANDOM_CORNERS, box.size))
         box.split(x)[1][: len(pressed)] = 2.0 * pressed - 1.0
         return Corners.of_boards(x)
 
@@ -93,7 +93,7 @@ class InTimeTarget(WholeBoardTarget):
         """(B, N, M) as :meth:`values`, of boards with cells (B, N, M) in ohm."""
 
     def values(self, box: Box, x: FloatArray) -> FloatArray:
-        size = max(1, int(self.periods * ENTRIES_TOGETHER / self.cost(box)))
+        size = max(1, int(self.periods * IN_CACHE / self.cost(box)))
         parts = []
         for first in range(0, len(x), size):
             some = x[first : first + size]

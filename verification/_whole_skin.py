@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import tempfile
-import time
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ..circuits import Requirement, adc_codes
 from ..common.archives import Stored, read_arrays
-from ..common.arrays import BoolArray, FloatArray
-from ..driver import Frame, Skin
+from ..common.arrays import BoolArray
+from ..driver import Skin
 from ..emulator import BoardSettings, Contact, EngineName, PtyPort, Rectangle, Scene, SkinSettings, running
 from ..emulator.firmware import (
     ERROR_BUDGET_STEPS,
@@ -26,16 +25,14 @@ from ..errors import InputError
 from ._catalogue import CATALOGUE
 from ._claim import statement
 from ._dut import DesignUnderTest
+from ._hardware import FRAMES, PATIENCE_S, readings_of
 from ._outcome import Check, Figure, Finding, NotRun, Table, drawn
-from ._pictures import heat_maps, histories
-from ._pressures import TOUCHED, contacts
+from ._pictures import heat_maps
+from ._pressures import FASTEST_HZ, SECONDS, TOUCHED, Run, contacts, traces
 
-RATE_HZ = 50.0
-SECONDS = 26.0
-PATIENCE_S = 60.0
-"""for one frame: a slow machine is no failure"""
-FIRMWARE_FRAMES = 200
 DWELLS_US = (20, 40, 80, 160)
+NEAR_S = 0.3
+"""from a change of what is touched, in which an estimate may show the change before or after"""
 _MOST_BYTES = 2**30
 _TRUE = {
     "sequence": Stored("whole numbers", ("frames",)),
@@ -45,33 +42,28 @@ _TRUE = {
 """what is read of the emulator's truth"""
 
 
-@dataclass(frozen=True)
-class _Received:
+class _Received(NamedTuple):
     """What the driver made of a board's frames, beside the truth."""
 
-    scene: Scene
-    frames: list[Frame]
-    applied: FloatArray
-    """(frames, rows, columns) kPa"""
+    run: Run
+    lost: int
+    """frames"""
     unlike: int
     """counts that differ from those sent"""
-    misplaced: float
-    """share of cells wrongly shown as touched or untouched"""
-
-    estimated: FloatArray
-    """(frames, rows, columns) kPa"""
 
     def checks(self, dut: DesignUnderTest, count: int, unlike: str) -> list[Check]:
         """What holds for ``count`` frames of every emulated board."""
-        lost = sum(frame.lost_before or 0 for frame in self.frames)
-        error = (self.estimated - self.applied) / dut.full_scale_kpa
-        rmse, limit = 100 * float(np.sqrt(np.mean(error**2, axis=0)).max()), dut.design.requirements
+        run, limit = self.run, dut.design.requirements
+        rmse = 100 * float(np.sqrt(np.mean(run.error**2, axis=0)).max())
+        estimated = run.estimated_kpa
+        wrong = np.isnan(estimated) | ((estimated > TOUCHED * run.full_scale_kpa) != run.touched)
+        misplaced = 100 * float(wrong[_settled(run.touched)].mean())
         return [
             Check("pressure RMSE, worst cell", rmse, 2 * limit.pressure_rmse_percent, "% of full scale"),
-            Check("cells wrongly shown as touched or untouched", 100 * self.misplaced, 1.0, "%"),
+            Check("cells wrongly shown as touched or untouched", misplaced, 1.0, "%"),
             Check(unlike, float(self.unlike), 0.0),
-            Check("frames lost", float(lost), 0.0),
-            Check("frames received", float(len(self.frames)), float(count), at_least=True),
+            Check("frames lost", float(self.lost), 0.0),
+            Check("frames received", float(len(run.time_s)), float(count), at_least=True),
         ]
 
 
@@ -91,8 +83,8 @@ def whole_skin(dut: DesignUnderTest) -> Finding:
 
 def _emulated(dut: DesignUnderTest) -> Finding:
     """A board on a pseudo-terminal, for packets, driver, places and pressures."""
-    full, count = dut.full_scale_kpa, round(SECONDS * RATE_HZ)
-    operated = dut.at_rate(RATE_HZ)
+    count = round(SECONDS * FASTEST_HZ)
+    operated = dut.at_rate(FASTEST_HZ)
     scene = _scene(operated, contacts(operated.design.array.shape, operated.full_scale_kpa), noise=0.5)
     received = _receive(scene, operated, engine="model", count=count)
     return Finding(
@@ -101,13 +93,13 @@ def _emulated(dut: DesignUnderTest) -> Finding:
             *_fast_enough(operated),
         ],
         text=[
-            f"The virtual board scans a skin with {len(received.scene.contact)} contacts "
-            f"{RATE_HZ:g} times a second and sends packets over a pseudo-terminal; the driver opens it like any serial "
-            "port, learns the design from the board, and estimates the pressure of every cell. A cell counts as "
-            f"touched above {100 * TOUCHED:g} % of full scale; frames within 0.3 s of a change are left out of that "
-            "comparison. Time is the board's: this machine's speed decides nothing.",
+            f"The virtual board scans a skin with {len(scene.contact)} contacts "
+            f"{FASTEST_HZ:g} times a second and sends packets over a pseudo-terminal; the driver opens it like any "
+            "serial port, learns the design from the board, and estimates the pressure of every cell. A cell counts as "
+            f"touched above {100 * TOUCHED:g} % of full scale; frames within {NEAR_S:g} s of a change are left out of "
+            "that comparison. Time is the board's: this machine's speed decides nothing.",
         ],
-        figures=[*_traces(received, full), *drawn(lambda: _snapshot(received, full))],
+        figures=[*traces(received.run), *drawn(lambda: _snapshot(received.run))],
     )
 
 
@@ -115,22 +107,21 @@ def _fast_enough(dut: DesignUnderTest) -> list[Check]:
     """The fastest scan that settles to a quarter of an ADC step; nothing where the design does not say enough."""
     try:
         found = CATALOGUE["fastest_scan"].compute(
-            dut, Requirement(id="P14", quantity="fastest_scan", min=RATE_HZ), "worst-case"
+            dut, Requirement(id="P14", quantity="fastest_scan", min=FASTEST_HZ), "worst-case"
         )
     except NotRun:
         return []
-    return [Check("fastest scan settled to 1/4 ADC step", found.value, RATE_HZ, "frames/s", at_least=True)]
+    return [Check("fastest scan settled to 1/4 ADC step", found.value, FASTEST_HZ, "frames/s", at_least=True)]
 
 
 def _receive(scene: Scene, dut: DesignUnderTest, *, engine: EngineName, count: int) -> _Received:
     """Frames of an emulated board on a pseudo-terminal, beside the truth that it writes."""
-    full = dut.full_scale_kpa
     with tempfile.TemporaryDirectory() as folder:
         truth_file = Path(folder) / "truth.npz"
         port = PtyPort()
         # The board lives a little longer than what the host takes, so that it never waits for a last frame.
         with (
-            running(scene, port, engine=engine, clock="fast", duration_s=(count + 50) / RATE_HZ, truth=truth_file),
+            running(scene, port, engine=engine, clock="fast", duration_s=(count + 50) / FASTEST_HZ, truth=truth_file),
             Skin.open(port.name, cell=dut.cell, delivery="lossless", timeout=PATIENCE_S) as skin,
         ):
             frames = list(islice(skin, count))
@@ -138,12 +129,17 @@ def _receive(scene: Scene, dut: DesignUnderTest, *, engine: EngineName, count: i
     place = {number: k for k, number in enumerate(truth["sequence"].tolist())}
     frames = [frame for frame in frames if frame.sequence in place]
     known = [place[frame.sequence] for frame in frames if frame.sequence is not None]
-    applied = truth["pressure_kpa"][known]
-    estimate = np.array([frame.pressure for frame in frames])
     sent = adc_codes(dut.design, truth["volts"][known])
     unlike = sum(int((frame.counts != codes).sum()) for frame, codes in zip(frames, sent, strict=True))
-    wrong = np.isnan(estimate) | ((estimate > TOUCHED * full) != (applied > TOUCHED * full))
-    return _Received(scene, frames, applied, unlike, float(wrong[_settled(applied, full)].mean()), estimate)
+    run = Run(
+        "the emulated board",
+        time_s=np.array([frame.device_time for frame in frames]),
+        applied_kpa=truth["pressure_kpa"][known],
+        estimated_kpa=np.array([frame.pressure for frame in frames]),
+        lost=np.array([~frame.valid for frame in frames]),
+        full_scale_kpa=dut.full_scale_kpa,
+    )
+    return _Received(run, sum(frame.lost_before or 0 for frame in frames), unlike)
 
 
 def _firmware(dut: DesignUnderTest) -> Finding:
@@ -162,10 +158,10 @@ def _firmware(dut: DesignUnderTest) -> Finding:
     curve = [dwell_error(dut.design, FirmwareSettings(dwell_us=dwell)) for dwell in sorted({*DWELLS_US, usual})]
     own = next(point for point in curve if point.dwell_us == usual)
     apart = max(abs(point.measured_steps - point.predicted_steps) for point in curve) / curve[0].predicted_steps
-    received = _receive(scene, dut, engine="firmware", count=FIRMWARE_FRAMES)
+    received = _receive(scene, dut, engine="firmware", count=FRAMES)
     return Finding(
         checks=[
-            *received.checks(dut, FIRMWARE_FRAMES, "counts that differ from what was converted"),
+            *received.checks(dut, FRAMES, "counts that differ from what was converted"),
             Check(f"reading off from settled, dwell {usual} us", own.measured_steps, ERROR_BUDGET_STEPS, "ADC steps"),
             Check("firmware against settling model, of the largest error", 100 * apart, 5.0, "%"),
         ],
@@ -174,7 +170,7 @@ def _firmware(dut: DesignUnderTest) -> Finding:
             "modelled circuit answers each conversion with the voltage at its sample instant, settling after the row "
             "switch included.",
         ],
-        figures=_traces(received, dut.full_scale_kpa),
+        figures=traces(received.run),
         tables=[
             Table(
                 ["dwell", "largest error of the firmware", "of the settling model"],
@@ -198,23 +194,17 @@ def _brief_contacts(shape: tuple[int, int], full: float) -> list[Contact]:
 
 def _hardware(dut: DesignUnderTest) -> Finding:
     """What can be said of a real board without knowing what presses on it."""
-    with Skin.open(dut.target, board=dut.board, baudrate=dut.baud, delivery="every") as skin:
-        if not skin.family.has_device_time:
-            raise NotRun(f"a board '{skin.family.name}' numbers no frames and states no times")
-        start = time.perf_counter()
-        frames = list(islice(skin, 200))
-        elapsed = time.perf_counter() - start
-    lost = sum(frame.lost_before or 0 for frame in frames[1:])
-    valid = np.mean([frame.valid.mean() for frame in frames])
-    steps = np.diff([frame.device_time for frame in frames])
+    readings = readings_of(dut)
+    if not len(readings.device_steps):
+        raise NotRun("the board numbers no frames and states no times")
+    count, shortest = len(readings.volts), float(readings.device_steps.min())
     return Finding(
         checks=[
-            Check("frames lost, of 200", float(lost), 0.0),
-            Check("valid cells", 100 * float(valid), 95.0, "%", at_least=True),
-            Check("device time goes forward: shortest step", float(steps.min()), 1e-6, "s", at_least=True),
+            Check(f"frames lost, of {count}", float(readings.lost), 0.0),
+            Check("valid cells", 100 * readings.valid, 95.0, "%", at_least=True),
+            Check("device time goes forward: shortest step", shortest, 1e-6, "s", at_least=True),
             Check("applied pressures", None, 0.0, reason="not known for a real board"),
         ],
-        text=[f"200 frames from {dut.target} in {elapsed:.1f} s."],
     )
 
 
@@ -222,35 +212,25 @@ def _scene(dut: DesignUnderTest, pressing: list[Contact], noise: float) -> Scene
     """A skin of the design's cells under some contacts, read with ``noise`` in ADC steps."""
     if dut.design.adc is None:
         raise InputError("the design has no [adc] section; a board sends counts")
-    board = BoardSettings(frame_rate=RATE_HZ, noise=noise * dut.design.adc.step)
+    board = BoardSettings(frame_rate=FASTEST_HZ, noise=noise * dut.design.adc.step)
     return Scene(skin=SkinSettings(design=dut.design, cell=dut.cell), board=board, contact=pressing)
 
 
-def _settled(applied: FloatArray, full: float) -> BoolArray:
-    """(frames,) where no cell's load has crossed the touch level within 0.3 s."""
-    touched = (applied > TOUCHED * full).reshape(len(applied), -1)
-    changes = np.r_[False, (touched[1:] != touched[:-1]).any(axis=1)]
-    near = np.convolve(changes, np.ones(2 * round(0.3 * RATE_HZ) + 1), mode="same")
+def _settled(touched: BoolArray) -> BoolArray:
+    """(frames,) where no cell has come to be touched (frames, rows, columns) or untouched within :data:`NEAR_S`."""
+    cells = touched.reshape(len(touched), -1)
+    changes = np.r_[False, (cells[1:] != cells[:-1]).any(axis=1)]
+    near = np.convolve(changes, np.ones(2 * round(NEAR_S * FASTEST_HZ) + 1), mode="same")
     settled: BoolArray = near < 0.5
     return settled
 
 
-def _traces(received: _Received, full: float) -> list[Figure]:
-    """One cell of each contact."""
-    geometry = received.scene.skin.geometry
-    first = (np.argwhere(contact.coverage(geometry) > 0)[0].tolist() for contact in received.scene.contact)
-    times = np.array([frame.device_time for frame in received.frames])
-    places, limits = sorted({(int(row), int(column)) for row, column in first}), (-0.1 * full, 1.2 * full)
-    caption = "One cell of each contact, through board, port, driver and estimator."
-    return histories(caption, times, received.applied, received.estimated, places, "driver's estimate", ylim=limits)
-
-
-def _snapshot(received: _Received, full: float) -> Figure:
-    frames, applied = received.frames, received.applied
-    busiest = int(np.argmax((applied > TOUCHED * full).sum(axis=(1, 2)) + applied.sum(axis=(1, 2)) / (1e3 * full)))
-    estimate = frames[busiest].pressure
+def _snapshot(run: Run) -> Figure:
+    applied, full = run.applied_kpa, run.full_scale_kpa
+    busiest = int(np.argmax(run.touched.sum(axis=(1, 2)) + applied.sum(axis=(1, 2)) / (1e3 * full)))
+    estimate = run.estimated_kpa[busiest]
     maps = {"applied": applied[busiest], "estimated": estimate, "difference": estimate - applied[busiest]}
     return Figure(
         heat_maps(maps, label="kPa", limit=full, size=2.3),
-        f"All cells at {frames[busiest].device_time:.2f} s, when more of them are touched than at any other time.",
+        f"All cells at {run.time_s[busiest]:.2f} s, when more of them are touched than at any other time.",
     )

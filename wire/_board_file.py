@@ -12,7 +12,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
-from ..common.config import LocalFile, Section, load, parse
+from ..common.config import MOST_CELLS, LocalFile, Section, load, parse
 from ..errors import InputError
 from ._blocks import WORDS
 from ._framing import DescribedBoard, StartTable
@@ -20,7 +20,6 @@ from ._lines import JsonFrame, TextFrame, TextHost
 from ._protocol import Family, HostProtocol, Layout
 from ._words import BinaryFrame, BinaryHost, DelimitedHost
 
-MOST_CELLS = 256 * 256
 MOST_LINES = 1024
 """rows or columns"""
 MOST_BITS = 16

@@ -20,7 +20,7 @@
 
 from ._adjoint import SensitivityGroup
 from ._circuit import Reading, ReadoutCircuit
-from ._described import DESCRIBED, DESCRIBED_INVERTING
+from ._described import networks
 from ._ends import EndParts, Ends, one_driven, sum_of_others, terminate
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
@@ -38,8 +38,6 @@ CIRCUITS: dict[str, ReadoutCircuit] = {
 
 __all__ = [
     "CIRCUITS",
-    "DESCRIBED",
-    "DESCRIBED_INVERTING",
     "EndParts",
     "Ends",
     "LinearReadout",
@@ -52,6 +50,7 @@ __all__ = [
     "SensitivityGroup",
     "Terminated",
     "columns_impedance",
+    "networks",
     "one_driven",
     "output_rounding",
     "sum_of_others",

@@ -6,6 +6,7 @@ limited amplifiers, a reference that the ends share) are solved node by node (:m
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
@@ -14,14 +15,13 @@ import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
 from .._parts import Parts
-from ..ends import OPEN_OHM, LineEnds, alone
+from ..ends import OPEN_OHM, Columns, LineEnds, alone
 from ._adjoint import SensitivityGroup
-from ._circuit import Alone, Reading
+from ._circuit import Alone, Reading, ReadoutCircuit
 from ._ends import EndParts, Ends
 from ._linear import LinearReadout
 from ._nodal import node_groups, read_nodes
 from ._port_law import PortLaw
-from ._quick import QuickFields, QuickNetwork
 from ._terminated import SignArray, Terminated
 
 _MOST_ATTENUATED_OHM = 1e9  # of a column's end, up to which line attenuation is of use
@@ -29,7 +29,7 @@ _CURVE, _CURVE_POINTS = (-10.0, 2.0), 241  # logarithms of a cell's conductance 
 _PROBES_S = 1e-6, 1e-4  # conductances of a cell, from which its output without others follows
 
 
-class Described(Terminated):
+class Networks(ReadoutCircuit):
     """Networks at the ends of all lines."""
 
     name = "described"
@@ -45,60 +45,81 @@ class Described(Terminated):
     def inverts(self) -> bool:
         return self._inverts
 
+    @abstractmethod
+    def at_rest(self, board: Parts) -> FloatArray:
+        """(M,) or (N, M) V of the outputs without current."""
+
+    def apparent_resistance(self, board: Parts, volts: FloatArray) -> FloatArray:
+        """NaN at columns that nothing loads: one cell alone always has the same reading there."""
+        ohms = super().apparent_resistance(board, volts)
+        return np.where(self.alone(board).span >= OPEN_OHM / 2, np.nan, ohms)
+
+    def ambiguity(self, board: Parts) -> str:
+        assert board.line_ends is not None
+        return board.line_ends.ambiguity()
+
+
+class Described(Networks, Terminated):
+    """Networks that are Thevenin equivalents."""
+
     def ends_of(self, board: Parts, parts: EndParts, state: SignArray | None = None) -> Ends:
-        ends = board.described
-        assert ends is not None
+        ends = _equivalents(board)
         return Ends(ends.resistance, ends.source, ends.output, ends.slope)
 
-    def read(self, board: Parts, ports: FloatArray) -> Reading:
-        return read_nodes(board, ports) if board.described is None else super().read(board, ports)
-
-    def ends(self, board: Parts) -> Ends | None:
-        return None if board.described is None else super().ends(board)
-
-    def end_resistance(self, board: Parts) -> FloatArray:
-        return np.zeros(board.shape[1]) if board.described is None else super().end_resistance(board)
-
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
-        if board.described is None:
-            return np.full((*ports.shape[:-2], *board.shape), np.inf)  # the bound by entries holds
-        ends = board.described
+        ends = _equivalents(board)
         sources = np.maximum(np.abs(ends.source), np.abs(ends.idle_source))
         return super().energy_bound(replace(board, reference=np.abs(ends.slope), offset=sources), ports, relative)
 
-    def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
-        return None if board.described is None else super().quick_outputs(board, network)
-
-    def quick_fields(self, board: Parts, network: QuickNetwork) -> QuickFields | None:
-        return None if board.described is None else super().quick_fields(board, network)
-
     def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
-        if board.described is None or board.floating:
-            return None
-        return PortLaw.of_ends(self.read_ends(board), wire, board.drive, floating=False)
+        return None if board.floating else PortLaw.of_ends(self.read_ends(board), wire, board.drive, floating=False)
 
     def linear(self, board: Parts) -> LinearReadout | None:
-        ends = board.described
-        return None if ends is None or ends.resistance.max() > _MOST_ATTENUATED_OHM else super().linear(board)
+        return None if _equivalents(board).resistance.max() > _MOST_ATTENUATED_OHM else super().linear(board)
 
     def ideal_inputs(self, board: Parts) -> BoolArray:
         held: BoolArray = (self.end_resistance(board) + board.column_lead) == 0
-        return held if board.described is not None else np.zeros_like(held)
+        return held
 
     def alone(self, board: Parts) -> Alone:
-        ends = board.described
-        if ends is None:
-            assert board.line_ends is not None
-            rest, gain, span = _alone(board.line_ends)
-            return Alone(gain, span, rest - board.level)
         # The row's end by itself: driver, lead and pull-down as a Thevenin equivalent.
+        ends = _equivalents(board)
         passed = 1.0 / (1.0 + board.row_lead[:, None] / board.pull)
         ohms = passed * board.row_lead[:, None] + ends.resistance
-        return Alone(ends.slope * (passed * board.drive - ends.source), ohms, self.at_rest(board) - board.level)
+        return Alone(ends.slope * (passed * board.drive - ends.source), ohms, ends.output - board.level)
+
+    def at_rest(self, board: Parts) -> FloatArray:
+        return _equivalents(board).output
+
+
+class ByNodes(Networks):
+    """Networks that are solved node by node."""
+
+    def read(self, board: Parts, ports: FloatArray) -> Reading:
+        return read_nodes(board, ports)
+
+    def end_resistance(self, board: Parts) -> FloatArray:
+        return np.zeros(board.shape[1])
+
+    def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
+        return np.full((*ports.shape[:-2], *board.shape), np.inf)  # the bound by entries holds
+
+    def columns_one_by_one(self, board: Parts) -> bool:
+        return board.shared_by > 1
+
+    def alone(self, board: Parts) -> Alone:
+        assert board.line_ends is not None
+        rest, gain, span = _alone(board.line_ends)
+        return Alone(gain, span, rest - board.level)
+
+    def at_rest(self, board: Parts) -> FloatArray:
+        assert board.line_ends is not None
+        return _alone(board.line_ends)[0]
 
     def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
         ends = board.line_ends
-        if ends is None or ends.is_linear:
+        assert ends is not None
+        if ends.is_linear:
             return super().ideal_volts(board, cells)
         with np.errstate(divide="ignore"):
             log = np.log10(1.0 / cells)
@@ -106,29 +127,22 @@ class Described(Terminated):
         return _each_curve(ends, lines, lambda curve, own: np.interp(own, *curve))
 
     def apparent_resistance(self, board: Parts, volts: FloatArray) -> FloatArray:
-        """NaN at columns that nothing loads: one cell alone always has the same reading there."""
         ends = board.line_ends
-        if ends is not None and not ends.is_linear:
-            return _each_curve(ends, volts, _from_curve)
-        ohms = super().apparent_resistance(board, volts)
-        return np.where(self.alone(board).span >= OPEN_OHM / 2, np.nan, ohms)
-
-    def at_rest(self, board: Parts) -> FloatArray:
-        """(M,) or (N, M) V of the outputs without current."""
-        if board.described is not None:
-            return board.described.output
-        assert board.line_ends is not None
-        return _alone(board.line_ends)[0]
-
-    def ambiguity(self, board: Parts) -> str:
-        assert board.line_ends is not None
-        return board.line_ends.ambiguity()
+        assert ends is not None
+        return super().apparent_resistance(board, volts) if ends.is_linear else _each_curve(ends, volts, _from_curve)
 
     def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
-        if board.described is None:
-            yield from node_groups(board, ports)
-        else:
-            yield from super().sensitivity_groups(board, ports, reading)
+        return node_groups(board, ports)
+
+
+def networks(board: Parts, *, inverts: bool) -> Networks:
+    """The circuit of a board whose lines end in networks."""
+    return (ByNodes if board.described is None else Described)(inverts=inverts)
+
+
+def _equivalents(board: Parts) -> Columns:
+    assert board.described is not None
+    return board.described
 
 
 @lru_cache(maxsize=64)
@@ -202,6 +216,3 @@ def _fraction(ends: LineEnds, row: int, column: int) -> tuple[float, float, floa
     first, second = (near - rest) / _PROBES_S[0], (far - rest) / _PROBES_S[1]
     ohms = (first - second) / (far - near)
     return rest, first + ohms * (near - rest), ohms
-
-
-DESCRIBED, DESCRIBED_INVERTING = Described(inverts=False), Described(inverts=True)

@@ -6,8 +6,13 @@ idle lines stand. With idle columns at that potential, column j conducts
     S_j = sum_i D_ij (1 - r_i D_ij) / (1 - r_i sum_l D_il)
 
 to all other lines, and W D = I + S C (:mod:`..readouts._port_law`). D and S increase with each other where C/W is
-positive: rounds that begin at the bounds of the cells enclose every answer, and meet if there is only one. A row that
-floats while it is idle joins its cell to the cells of other columns only: it conducts D_ij (1 - a_ij) /
+positive: rounds that begin at the bounds of the cells enclose every answer, and meet if there is only one. Where idle
+columns stand behind leads w, the D are larger, and S is bounded by what passes these: while the column is at 1 V, row m
+is at r_m D_mj, and the idle columns let out to their ends at most
+
+    min(sum_m r_m D_mj sum_k G_mk / (1 + w_k G_mk), max_m (r_m D_mj) sum_k 1 / w_k).
+
+A row that floats while it is idle joins its cell to the cells of other columns only: it conducts D_ij (1 - a_ij) /
 (1 - r_i sum_l D_il), where a_ij is the cell's share in its row, and D_ij a_ij more while it is selected. Both increase
 with every D, too.
 """
@@ -27,9 +32,7 @@ from ._law_kernels import LEAST, answers
 
 MOST_WIRE = 2.0
 """resistance of a cell's lines over its own from which on it reads like a short"""
-_STANDS_OUT = 10.0  # port conductance over the usual one of its column, from which on a cell may be a short
-_FEW = 3  # rows, below which the usual one is that of all cells
-_SHORTED = 0.3  # ohm, of all cells of a column in parallel, if none of them stands out, where columns have loads
+_CONTACT = 0.01  # ohm, of a cell of which nothing is declared: contacts of metals have as much
 ONE = 3.0
 """largest over least conductance of all answers, up to which they are one within their errors"""
 
@@ -67,12 +70,16 @@ class Answers:
         self._lead = to_driver.mean(axis=1)
         self._present = np.ascontiguousarray(~(known.cut_off | np.isinf(board.series_ohms)))
         self._nowhere = np.zeros(board.shape, dtype=np.bool_)
-        self._most = np.full(board.shape, 1.0 / LEAST_SHORT_OHM)
-        # If a cell of it stands out, and if none does. Behind a virtual ground, bounds meet in either case.
-        of_short = LEAST_SHORT_OHM / board.shape[0]
-        shorted = np.array([of_short, of_short if board.circuit.virtual_ground else _SHORTED])
-        self._column_most = 1.0 / (column_lead + to_end.min(axis=0) + shorted[:, None])
-        self._least_ohm = least_ohm
+        if board.circuit.drives_idle_lines:
+            idle = np.zeros(len(wire))
+        else:  # others are read beside it, or none
+            alone = board.shared_by >= len(wire)
+            idle = np.zeros(len(wire)) + (board.idle_resistance if alone else board.circuit.end_resistance(board))
+        self._beyond = column_lead + to_end.min(axis=0) + idle
+        out = 1.0 / (self._beyond + LEAST_SHORT_OHM)
+        self._out = out.sum() - out
+        self._column_most = self._out + (0.0 if board.floating else (1.0 / (self._lead + LEAST_SHORT_OHM)).sum())
+        self._least_ohm = max(least_ohm, _CONTACT)
 
     def __call__(
         self,
@@ -83,10 +90,8 @@ class Answers:
     ) -> tuple[FloatArray, FloatArray]:
         """Bounds (N, M) in S on the cells behind readings (N, M) in V that are known within an ``error`` in V.
 
-        No cell is taken to conduct more than the least resistance does, and no column behind a load together more than
-        0.3 ohm, unless a cell of it may be a short. This is so of cells at a limit, cells that seem to conduct more
-        than the most, and several of one row that stand out from their columns, on boards of one or two rows from all
-        cells.
+        No cell is taken to conduct more than the least resistance does, but for cells at a limit and cells that seem
+        to conduct more; no column, together, more than all other lines' leads let pass.
 
         Args:
             volts: readings.
@@ -96,26 +101,18 @@ class Answers:
 
         """
         law, (rows, columns) = self._law, volts.shape
+        limited = self._nowhere if limited is None else limited
+        under_range = self._nowhere if under_range is None else under_range
         drives = law.drive[0] + law.drive[1] * volts
         own, share = ((part[0] + part[1] * volts) / drives for part in (law.current, law.potential))
         driven = own + share * own.sum(axis=0) / np.maximum(1.0 - share.sum(axis=0), LEAST)
-        few = rows < _FEW  # tell nothing of what is usual in their column
-        usual = np.sort(driven.reshape(-1, 1) if few else driven, axis=0)
-        usual = usual[(len(usual) - 1) // 2]
-        short = driven > _STANDS_OUT * np.maximum(usual, 0.0)
-        short &= (np.count_nonzero(short, axis=1) > 1)[:, None]
-        limited = np.ascontiguousarray(short if limited is None else limited | short)
-        under_range = self._nowhere if under_range is None else under_range
-        most = self._most
-        column_most = np.where(limited.any(axis=0), self._column_most[0], self._column_most[1])
-        if self._least_ohm:
-            low = limited | (driven * (self._least_ohm + self._lead[:, None]) >= 1.0)
-            most = np.where(low, most, np.minimum(most, 1.0 / self._least_ohm))
-            column_most = np.where(low.any(axis=0), column_most, np.minimum(column_most, rows / self._least_ohm))
-        most = np.where(limited, 1.0 / LEAST_SHORT_OHM, most)
+        low = limited | (driven * (self._least_ohm + self._lead[:, None]) >= 1.0)
+        most = np.where(low, 1.0 / LEAST_SHORT_OHM, 1.0 / self._least_ohm)
+        column_most = np.minimum(self._column_most, most.sum(axis=0))
+        beyond = most / (1.0 + most * self._beyond)
         below, above, least, greatest = np.empty((4, rows, columns))
-        flags = self._present, limited, under_range
-        priors = self._lead, most, column_most
+        flags = self._present, np.ascontiguousarray(limited), under_range
+        priors = self._lead, most, beyond, self._out, column_most
         written = below, above, np.empty((4, max(rows, columns))), np.empty((2, rows)), least, greatest
         answers.unchecked(np.ascontiguousarray(volts), *law, *flags, *priors, self._floating, error, *written)
         return least, greatest

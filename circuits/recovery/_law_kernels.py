@@ -344,7 +344,9 @@ def move(
         off: written.
     """
     rows, columns = change.shape
+    passed = 0.0
     for j in range(columns):
+        passed = max(passed, coupling[j])
         most, moved = coupling[j], 0.0
         for i in range(rows):
             moved += change[i, j]
@@ -359,11 +361,11 @@ def move(
                 most = max(most, beyond[i, j])
         by_row = most * moved / row_sums[i]
         for j in range(columns):
-            # What passes beside a cell does not fall with it.
+            # What passes beside a cell does not fall with it, though nothing may be left of it where cells are equal.
             least = max(cells[i, j], OPEN)
-            further = max(1.0 / least - 1.0 / base[i, j], 0.0)
-            per_change = min(change[i, j] / base[i, j], 1.0) + change[i, j] * further
-            off[i, j] = by_row + in_columns[j] + per_change * beyond[i, j]
+            fallen = change[i, j] * max(1.0 / least - 1.0 / base[i, j], 0.0)
+            off[i, j] = by_row + in_columns[j] + min(change[i, j] / base[i, j], 1.0) * beyond[i, j]
+            off[i, j] += fallen * max(beyond[i, j], passed)
             if added[i, j] != 0.0:
                 off[i, j] *= max(max(base[i, j], abs(added[i, j])) / least, 1.0)
 
@@ -379,6 +381,8 @@ def answers(
     under_range: FlagRows,
     lead: Row,
     cell_most: Rows,
+    beyond: Rows,
+    out: Row,
     column_most: Row,
     floating: bool,
     error: float,
@@ -397,7 +401,8 @@ def answers(
         volts: readings; ``current``, ``potential``, ``driving``, ``present``: as in :func:`columns_of`.
         unknown: cells whose readings state lower bounds only, and ``under_range`` ones that state upper bounds.
         lead: (N,) ohm of the rows.
-        cell_most: S, bounds on the cells before anything is read, and ``column_most`` (M,) on all of a column together.
+        cell_most: S, bounds on the cells before anything is read; ``beyond`` on what they conduct to the ends of idle
+            columns, ``out`` (M,) on what all other columns do together, ``column_most`` on all of a column's cells.
         floating: whether idle rows conduct to other columns only.
         error: V, of a reading.
         below: S, bounds of the port conductances; changed, as ``above``, ``sums`` (4, max(N, M)), ``alone`` (2, N).
@@ -435,6 +440,8 @@ def answers(
                 sums[3, i] += below[i, j]
         for j in range(columns):
             least, least_share, most, most_share = 0.0, 0.0, 0.0, 0.0
+            # What drivers take, and the row that stands highest: idle columns take no more of it than ``out``.
+            direct, direct_share, top, top_share = 0.0, 0.0, 0.0, 0.0
             for i in range(rows):
                 if not present[i, j]:
                     continue
@@ -443,10 +450,10 @@ def answers(
                 of_others = 1.0
                 for other in range(columns):
                     if other != j:
-                        of_others += r * cell_most[i, other]
+                        of_others += r * beyond[i, other]
                 others_least, others_most = sums[3, i] - below[i, j], sums[2, i] - above[i, j]
+                left = 1.0 - r * above[i, j]
                 if not floating:
-                    left = 1.0 - r * above[i, j]
                     most_passed = 1.0 - r * others_most / left if left > LEAST else 0.0
                     least_passed, most_passed = 1.0, min(1.0 / max(most_passed, LEAST), of_others)
                     least_alone, most_alone = 0.0, 0.0
@@ -454,12 +461,14 @@ def answers(
                     least_alone = below[i, j] / max(below[i, j] + others_most, LEAST)
                     most_alone = min(above[i, j] / max(above[i, j] + others_least, LEAST), 1.0)
                     least_passed = (1.0 - most_alone) / max(1.0 - r * sums[3, i], LEAST)
-                    of_all = min(1.0 / max(1.0 - r * sums[2, i], LEAST), of_others + r * cell_most[i, j])
+                    of_all = min(1.0 / max(1.0 - r * sums[2, i], LEAST), of_others / max(left, LEAST))
                     most_passed = (1.0 - least_alone) * of_all
                 if unknown[i, j]:
                     least += least_passed * below[i, j]
                     alone[0, i], alone[1, i] = 1.0, 1.0
                     most += most_passed * above[i, j]
+                    direct += above[i, j]
+                    top = max(top, r * above[i, j])
                     continue
                 own, own_most = math.inf, -math.inf
                 share, share_most = math.inf, -math.inf
@@ -488,11 +497,18 @@ def answers(
                     least_share += share * (least_passed if share > 0.0 else most_passed)
                 if own_most > 0.0:
                     most += own_most * most_passed
+                    direct += own_most
+                    top = max(top, r * own_most)
+                direct_share += share_most
+                top_share = max(top_share, r * share_most)
                 most_share += share_most * (most_passed if share_most > 0.0 else least_passed)
                 if share > 0.0:
                     sums[1, j] = min(sums[1, j], max(cell_most[i, j] / (1.0 + r * cell_most[i, j]) - own, 0.0) / share)
             if most_share < 1.0 and most < math.inf:
                 sums[1, j] = min(sums[1, j], most / (1.0 - most_share))
+            direct_share += out[j] * top_share
+            if direct_share < 1.0 and direct + out[j] * top < math.inf and not floating:
+                sums[1, j] = min(sums[1, j], (direct + out[j] * top) / (1.0 - direct_share))
             if least_share < 1.0:
                 sums[0, j] = max(sums[0, j], least / (1.0 - least_share))
             for i in range(rows):
@@ -523,7 +539,8 @@ def answers(
         for j in range(columns):
             least += below[i, j]
             most += above[i, j]
-            whole += lead[i] * cell_most[i, j]
+            whole += lead[i] * beyond[i, j]
         for j in range(columns):
             low[i, j] = below[i, j] / max(1.0 - lead[i] * least, LEAST)
-            high[i, j] = min(above[i, j] * min(1.0 / max(1.0 - lead[i] * most, LEAST), whole), cell_most[i, j])
+            of_all = (whole - lead[i] * beyond[i, j]) / max(1.0 - lead[i] * above[i, j], LEAST)
+            high[i, j] = min(above[i, j] * min(1.0 / max(1.0 - lead[i] * most, LEAST), of_all), cell_most[i, j])

@@ -88,7 +88,8 @@ class LawLive:
         self._fit = None
         small = board.shape[0] * board.shape[1] <= MOST_BESIDE
         mixes = (board.circuit.mixes_cells and self._answers is None) or not self._tells
-        if board.bridges or (mixes and small):
+        # Bounds on all answers do not count bridges.
+        if (board.bridges and self._answers is None) or (mixes and small):
             self._fit = FitLive(known, rule, least_ohm)
         no_reading = np.zeros(board.shape, dtype=np.int8)
         no_reading[self._shorted.any(axis=1, keepdims=True) | self._shorted.any(axis=0)] = DISTURBED

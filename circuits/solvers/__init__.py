@@ -15,11 +15,12 @@ from ._elimination import ULP, Rounded, eliminate_leading, inverted
 from ._exact import entrywise, exact_transfer, series_conductance
 from ._network import Element, Network, reduce
 from ._ports import IDEAL_WIRE, LARGEST_PART, Lines, has_ideal_lines, port_conductances
-from ._siemens import siemens
+from ._siemens import LEAST_OHM, siemens
 
 __all__ = [
     "IDEAL_WIRE",
     "LARGEST_PART",
+    "LEAST_OHM",
     "ULP",
     "Attenuated",
     "Element",

@@ -6,14 +6,16 @@ import numpy as np
 
 from ...common.arrays import FloatArray
 
-_WIRE = 1e60  # S
+LEAST_OHM = 1e-60
+"""of a wire that is not ideal: products of larger conductances could overflow"""
 
 
 def siemens(ohms: FloatArray | float) -> FloatArray:
-    """Conductances in S; resistances below 1e-60 ohm become inf, because products of 1e60 S and more could overflow."""
-    if isinstance(ohms, np.ndarray) and ohms.size and ohms.item(ohms.argmin()) >= 1.0 / _WIRE:  # nearly always
+    """Conductances in S; resistances below :data:`LEAST_OHM` become inf."""
+    if isinstance(ohms, np.ndarray) and ohms.size and ohms.item(ohms.argmin()) >= LEAST_OHM:  # nearly always
         ordinary: FloatArray = np.reciprocal(ohms)
         return ordinary
     with np.errstate(divide="ignore", over="ignore"):
         conductance = np.divide(1.0, ohms)
-    return conductance if conductance.max(initial=0.0) <= _WIRE else np.where(conductance > _WIRE, np.inf, conductance)
+    most = 1.0 / LEAST_OHM
+    return conductance if conductance.max(initial=0.0) <= most else np.where(conductance > most, np.inf, conductance)

@@ -33,6 +33,8 @@ from ..readouts import CIRCUITS, one_driven, terminate
 
 _WORST_CONDITION = 1e8
 """largest condition number of the eigenvectors; the modal form then still has eight correct digits"""
+ROUNDING, NEGLIGIBLE = 1e-9, 1e-3
+"""relative: to which a number in time is known; and the share of a sum that may be left out"""
 _LEAK = 1e-18
 """of the largest conductance: gives a settled voltage to nodes that nothing is connected to"""
 

@@ -29,10 +29,11 @@ from .._design import Design
 from .._exact import read_exactly
 from .._grid import exact_ports
 from ..ends import GROUND, LINE, Card, Event, Network, Scan, inverted_nodes, step_system
+from ._circuit import NEGLIGIBLE
 
 CONTACT_OHM = 1e-3
 """in series with each capacitor, and of the switch that discharges the sampled node: far below any part of a board"""
-_WIDE_HZ, _NEGLIGIBLE = 1e9, 1e-3  # white noise in this bandwidth is that of contacts up to this share of the variance
+_WIDE_HZ = 1e9  # white noise in this bandwidth is that of contacts, if it is a negligible share of the variance
 _LEAST_RATE = 1e-6  # 1/s, of a capacitor that nothing discharges: gives its noise a finite size
 State = tuple[str, str]
 """name of an end and of a part; a column's line has the end ``line J``, the converter the end ``adc``"""
@@ -192,7 +193,7 @@ class EventScan:
             share = (count - lag) * (2 if lag else 1) / count**2
             total += share * float(phase.weights @ carried @ covariance @ phase.weights)
             carried = later @ carried
-        if phase.white * _WIDE_HZ > _NEGLIGIBLE * total:
+        if phase.white * _WIDE_HZ > NEGLIGIBLE * total:
             raise InputError(
                 "noise of the resistors has no bandwidth limit and so no finite size; give adc.sampling_capacitance"
             )

@@ -26,15 +26,10 @@ import numpy as np
 from ...common.arrays import ComplexArray, FloatArray, IntArray
 from .._design import Design
 from .._population import Boards
-from ._circuit import Circuit, ColumnNetworks, sampler_delay
+from ._circuit import NEGLIGIBLE, ROUNDING, Circuit, ColumnNetworks, sampler_delay
 
-_SLOWEST = 1e-9
-"""of the fastest rate: slower modes are those of nodes that keep their charge"""
 _LONG = 60.0
 """time constants after which a deviation is below rounding"""
-_KEPT = 1e-9
-"""share of its charge that a node loses in a frame at most if nothing is connected to it"""
-_NEGLIGIBLE = 1e-3  # of the limit: sum of all modes that are neglected
 
 
 class Deviations(NamedTuple):
@@ -83,7 +78,7 @@ class Modes(NamedTuple):
 
     def step(self, waiting: FloatArray, allowed: FloatArray) -> FloatArray:
         """Step (B,) in s of the search, short enough that the sum of the modes that still matter is nearly straight."""
-        matter = self.envelope(waiting) > _NEGLIGIBLE * allowed[:, None] / max(self.rate.shape[-1], 1)
+        matter = self.envelope(waiting) > NEGLIGIBLE * allowed[:, None] / max(self.rate.shape[-1], 1)
         fastest = np.abs(np.where(matter, self.rate, 0.0)).max(axis=-1, initial=0.0)
         straight = np.divide(0.25, fastest, out=np.full_like(fastest, np.inf), where=fastest > 0)
         step: FloatArray = np.minimum(0.1 * waiting, straight)
@@ -225,7 +220,8 @@ class RepeatedScan:
                 size = read * (np.abs(phase.right[:, :, nodes]) @ largest[..., None])[..., 0]
                 found[id(phase)] = phase.rates, np.maximum(size, found.get(id(phase), (size, size))[1])
         rate, size = (np.concatenate(part, axis=-1) for part in zip(*found.values(), strict=True))
-        alive = (rate.real > _SLOWEST * rate.real.max(axis=-1, keepdims=True, initial=0.0)) & (size > 0.0)
+        # Slower modes are those of nodes that keep their charge.
+        alive = (rate.real > ROUNDING * rate.real.max(axis=-1, keepdims=True, initial=0.0)) & (size > 0.0)
         return Modes(np.where(alive, -rate / self._share, -np.inf), np.where(alive, size, 0.0))
 
     def _possible_states(self) -> Iterator[SwitchState]:
@@ -315,7 +311,7 @@ class RepeatedScan:
 def _fixed_point(through: FloatArray, added: FloatArray) -> FloatArray:
     """(B, S, 1) the deviation d = through d + added; that of nodes that nothing is connected to is 0."""
     nodes = through.shape[-1]
-    kept = np.abs(np.diagonal(through, axis1=1, axis2=2)).max(axis=-1, initial=0.0) > 1.0 - _KEPT
+    kept = np.abs(np.diagonal(through, axis1=1, axis2=2)).max(axis=-1, initial=0.0) > 1.0 - ROUNDING
     found = np.empty_like(added)
     found[~kept] = np.linalg.solve(np.eye(nodes) - through[~kept], added[~kept])
     found[kept] = np.linalg.pinv(np.eye(nodes) - through[kept]) @ added[kept]

@@ -18,12 +18,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import ComplexArray, FloatArray
+from ...common.arrays import IN_CACHE, ComplexArray, FloatArray
 from ...errors import InputError, SolverError
 from .._design import Design
 from .._population import Boards
 from .._scan import scan
-from ._circuit import ColumnNetworks, require_amplifiers
+from ._circuit import ROUNDING, ColumnNetworks, require_amplifiers
 from ._repeated_scan import Deviations, RepeatedScan
 
 
@@ -136,11 +136,8 @@ _RANGE = 1e-9, 10.0
 """of the gain-bandwidth: where an amplifier still has all of its gain, and where it has none left"""
 _AROUND = np.geomspace(0.2, 3.0, 31)
 """multiples of the crossover at which a peak is looked for"""
-_TOGETHER = 1 << 18
-"""matrix entries of equations that are solved in one call"""
 _NEAR = 0.1  # of the limit; between two steps of a quarter of a radian a deviation rises by less than this
-_GOLDEN = 0.6180339887498949
-_CROSSING = 1e-9  # of a period or of the logarithm of a frequency, to which a crossing is known
+_GOLDEN = (5.0**0.5 - 1.0) / 2.0
 _CROSSES = 1e-7  # of the logarithm of a crossover, to which it is known
 _MOST_STEPS = 60  # of that search; each third halves the bracket
 _SECTIONS = 20  # golden sections of a peak's bracket: to 1e-4 of it, and the peak itself to the square of that
@@ -168,10 +165,10 @@ def _crossing(level: Callable[[FloatArray], FloatArray], lower: FloatArray, uppe
     moved = np.zeros_like(low)
     for number in range(_MOST_STEPS):
         width = high - low
-        if (width <= _CROSSING * high).all():
+        if (width <= ROUNDING * high).all():
             break
         share = np.full_like(low, 0.5) if number % 3 == 2 else before / np.where(before > after, before - after, 1.0)
-        margin = np.minimum(_CROSSING / 2 * high / np.where(width > 0, width, 1.0), 0.5)  # so that both ends close in
+        margin = np.minimum(ROUNDING / 2 * high / np.where(width > 0, width, 1.0), 0.5)  # so that both ends close in
         middle = low + width * np.clip(share, margin, 1.0 - margin)
         there = level(middle)
         positive = there > 0
@@ -381,7 +378,7 @@ class _Loops(NamedTuple):
         """
         found = np.empty(omega.shape, dtype=np.complex128)
         columns = np.arange(omega.shape[1])
-        size = max(1, _TOGETHER // len(columns) ** 3)
+        size = max(1, IN_CACHE // len(columns) ** 3)
         for first in range(0, len(omega), size):
             network, feedback, slack, speed, line, across = (part[first : first + size, None] for part in self)
             s = 1j * omega[first : first + size, :, None]

@@ -182,10 +182,11 @@ def _limits_scan(
 
 
 def _measured(dut: DesignUnderTest, readings: Readings) -> Measurement:
-    if not readings.device_seconds:
+    seconds = float(readings.device_steps.sum())
+    if not seconds:
         raise NotRun("the board states no time")
-    rate = (len(readings.volts) + readings.lost - 1) / readings.device_seconds
-    tick = 2.0 * CLOCK_TICK_S / readings.device_seconds  # at both ends
+    rate = (len(readings.volts) + readings.lost - 1) / seconds
+    tick = 2.0 * CLOCK_TICK_S / seconds  # at both ends
     text = ["The rate at which this board scans."]
     return Measurement(rate, "Hz", where="by the board's clock", text=text, resolution=rate * tick)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite, nan
+from math import isfinite
 
 import numpy as np
 
@@ -27,13 +27,10 @@ def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Mea
     design = excerpt(dut.design, MOST_LINES, MOST_LINES)
     cells = np.full(design.array.shape, dut.rest)
     cells[::2] = dut.pressed
-    tables = []
     try:
         rows = [_static(design, cells)]
         if design.board.virtual_grounds and isfinite(design.readout.gain_bandwidth):
             rows += _dynamic(design, cells)
-            if design.readout.amplifier_model is not None:
-                tables = [_beside_the_model(design, cells)]
     except MissingExtra as error:
         raise NotRun(str(error)) from error
     except (SolverError, InputError) as error:
@@ -47,7 +44,7 @@ def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Mea
         where=worst[0],
         confidence=f"ngspice shares no code with the solvers; compared on {design.array.rows} × {design.array.columns} "
         f"cells: {', '.join(name for name, *_ in rows)}",
-        tables=[compared, *tables],
+        tables=[compared],
     )
 
 
@@ -87,57 +84,6 @@ def _dynamic(design: Design, cells: FloatArray) -> list[Row]:
         difference = 100 * abs(found.noise / rms - 1)
         rows.append(("noise before the converter", difference, engineering(rms, "V"), engineering(found.noise, "V")))
     return rows
-
-
-def _beside_the_model(design: Design, cells: FloatArray) -> Table:
-    """What the one-pole analysis of the report says, and what the maker's macro-model does in the same circuit."""
-    model = design.readout.amplifier_model
-    assert model is not None
-    line = min(1, design.board.shape[0] - 1)
-    alike = linear(design)
-    settling = Settling(alike, cells)
-    period = settling.shortest_period(0.01)
-    settled = _of_line(alike, settling.settled, line)
-    signal = float(np.abs(settled - design.readout.reference_voltage).max())
-    left = float(np.abs(_of_line(alike, settling.sampled_from_rest(period), line) - settled).max() / signal)
-    margin = float(_of_line(alike, stability(alike, cells).phase_margin, line)[0])
-    rows = []
-    found, why = _its(design, cells, line, period, "transient")
-    if found is None:
-        rows.append(["transient analysis", "", f"not run: {why}", ""])
-    else:
-        its_left = float(np.abs(found.sampled - found.settled).max() / signal)
-        rows.append(["settled reading", *_pair(float(settled[0]), float(found.settled[0]), "V")])
-        rows.append([f"error after {engineering(period, 's')}", *_pair(100 * left, 100 * its_left, "%")])
-    found, why = _its(design, cells, line, period, "loop gain")
-    its_margin = _pair(margin, found.phase_margin, "°") if found else [engineering(margin, "°"), f"not run: {why}", ""]
-    rows.append(["phase margin", *its_margin])
-    if design.readout.temperature:
-        rms = float(_of_line(alike, noise(alike, cells).before_adc, line)[0])
-        found, why = _its(design, cells, line, period, "noise")
-        its_noise = _pair(rms, found.noise, "V") if found else [engineering(rms, "V"), f"not run: {why}", ""]
-        rows.append(["noise before the converter", *its_noise])
-    dropped = "" if not found or not found.dropped else f" ngspice leaves out its {', '.join(found.dropped)}."
-    return Table(
-        ["quantity, first line", "one-pole analysis", "macro-model", "difference"],
-        rows,
-        f"The maker's model {model.subcircuit} in place of the one-pole amplifier. The amplifiers differ here, not the "
-        f'solvers. A requirement with the method "spice" is judged by the model.{dropped}',
-    )
-
-
-def _its(
-    design: Design, cells: FloatArray, line: int, period: float, analysis: str
-) -> tuple[spice.DynamicReading | None, str]:
-    """One analysis of the macro-model; or None, and ngspice's reason."""
-    try:
-        return spice.dynamic_reading(design, cells, line, period=period, analyses=[analysis]), ""
-    except SolverError as error:
-        return None, str(error)
-
-
-def _pair(ours: float, its: float, unit: str) -> list[str]:
-    return [engineering(ours, unit), engineering(its, unit), engineering(its - ours if isfinite(its) else nan, unit)]
 
 
 def _of_line(design: Design, values: FloatArray, line: int) -> FloatArray:
