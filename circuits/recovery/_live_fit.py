@@ -51,6 +51,7 @@ from ._measured import constants_of
 from ._node_blocks import WITHIN, NodeBlocks
 from ._sheet_model import SheetModel
 from ._usual_fits import (
+    LARGE,
     NO_FIT,
     SETTLED,
     SHORT_SHARE,
@@ -72,7 +73,7 @@ MOST_BESIDE = 256
 """cells up to which they are one beside shorts and cells that nothing reads, which no structure fits"""
 _SMALL = 100  # cells up to which the derivatives are a matrix
 _ALIKE_ERRORS = 20.0  # inverse of the relative change of the readings' errors up to which covariances are alike
-_FITS, _MISFIT = 0.8, 8.0  # half steps: by rounding alone, and from which on no cells give these readings
+_FITS, _MISFIT = 0.3, 8.0  # half steps and noise: by rounding alone, and from which on no cells give these readings
 _NEAR = 0.04  # change of the shares, over the largest one that derivatives serve, for which new ones are alike
 _SLOW = 0.2  # length of a step over the one before, above which derivatives are to blame
 _PROGRESS = 0.7  # misfit at the end of a frame over that at its beginning, above which steps lead nowhere
@@ -401,7 +402,7 @@ class FitLive:
                 step = linear.solve(apart, self._longest)
                 step[pinned] = 0.0
                 left, length = np.abs(step), float(np.abs(step).max())
-                enough = np.maximum(SETTLED * linear.std(coarser), SMALL)
+                enough = np.clip(SETTLED * linear.std(coarser), SMALL, LARGE)
                 settled = length < self._longest and bool((left <= enough).all())
                 if settled:
                     break
