@@ -73,7 +73,7 @@ MOST_BESIDE = 256
 """cells up to which they are one beside shorts and cells that nothing reads, which no structure fits"""
 _SMALL = 100  # cells up to which the derivatives are a matrix
 _ALIKE_ERRORS = 20.0  # inverse of the relative change of the readings' errors up to which covariances are alike
-_FITS, _MISFIT = 0.3, 8.0  # half steps and noise: by rounding alone, and from which on no cells give these readings
+_FITS, _MISFIT = 0.5, 8.0  # half steps and noise: by rounding alone, and from which on no cells give these readings
 _NEAR = 0.04  # change of the shares, over the largest one that derivatives serve, for which new ones are alike
 _SLOW = 0.2  # length of a step over the one before, above which derivatives are to blame
 _PROGRESS = 0.7  # misfit at the end of a frame over that at its beginning, above which steps lead nowhere
@@ -91,8 +91,7 @@ _BESIDE_STEPS, _BESIDE_STEP = 10, 0.003  # steps to the others beside it, and ch
 _BESIDE_SLOW = 0.5  # of a step's length over the one before, above which derivatives are made anew
 _SWING = 0.07  # of a share, up to which derivatives hold
 _MOST_AXES = 6  # of the covariance along which the model is asked
-_SLOWEST = 0.9  # such ratio from which on they do not end
-_AXIS_STEPS = 2  # back to the readings by derivatives; the ratio of their lengths tells what is left
+_SLOWEST = 0.9  # ratio of two steps back to the readings, from which on they do not end
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
 _CONTRACTS = 0.5  # factor of a map that surely has one fixed point, with room for derivatives that change
 _CALM = 3  # frames by the same derivatives, after which those of many cells are worth a matrix
@@ -399,13 +398,15 @@ class FitLive:
                         break
                     self._linear = linear = self._renewed(here, coarser)
                     renewals, change = renewals - 1, 0.0
-                step = linear.solve(apart, self._longest)
+                step = linear.solve(apart, inf)
                 step[pinned] = 0.0
                 left, length = np.abs(step), float(np.abs(step).max())
-                enough = np.clip(SETTLED * linear.std(coarser), SMALL, LARGE)
-                settled = length < self._longest and bool((left <= enough).all())
+                settled = bool((left <= np.clip(SETTLED * linear.std(coarser), SMALL, LARGE)).all())
                 if settled:
                     break
+                if length > self._longest:
+                    step = linear.solve(apart, self._longest)
+                    step[pinned] = 0.0
                 if length > _SLOW * before and change > _NEAR and renewals:
                     self._linear, before = None, inf
                     continue
@@ -506,36 +507,32 @@ class FitLive:
     ) -> FloatArray:
         """Changes (n,) of the shares by what derivatives leave out, along the longest axes of their covariance.
 
-        The readings at both ends of an axis, as far as no cell falls below nothing, differ from those by the derivatives
-        (n, n), and the cells follow these differences. Axes are independent, so that squares add up.
+        At both ends of an axis, as far as no cell falls below nothing, readings differ from those by the derivatives
+        (n, n), and the cells follow these differences. Axes are independent, so that squares add up. Where steps do not
+        end, as many again count.
         """
-        swing, std, conductance = (
-            BY_STEPS / np.sqrt(roots / coarser**2 + WITHIN),
-            linear.std(coarser),
-            linear.conductance,
-        )
+        swing, conductance = BY_STEPS / np.sqrt(roots / coarser**2 + WITHIN), linear.conductance
         longest = np.argsort(swing * np.abs(axes).max(axis=0))[::-1][:_MOST_AXES]
-        squares, volts = np.zeros(len(std)), None
+        squares, volts = np.zeros(len(roots)), None
         for axis in longest:
             along = swing[axis] * axes[:, axis]
             if not float(np.abs(along).max()) > _SWING:
                 break
             volts = self._at(conductance) if volts is None else volts
-            most = np.zeros(len(std))
+            most = np.zeros(len(roots))
             for side in (1.0, -1.0):
                 there = linear.moved(conductance, side * along, coarser, self._most)
                 there = np.maximum(there, np.minimum(conductance, _LEAST))
                 read = volts + jacobian @ (linear.shares(there) - linear.share) * self._std
-                lengths, total = [0.0, 0.0], np.zeros(len(std))
-                step = total
-                for number in range(_AXIS_STEPS):
+                steps = []
+                for _ in range(2):
                     apart = (read - self._at(there)) * self._read / self._std
-                    step = axes @ ((axes.T @ (jacobian.T @ apart)) / (roots + WITHIN * coarser**2))
-                    lengths[number] = float(np.abs(step).max())
-                    there, total = linear.moved(there, step, coarser, self._most), total + np.abs(step)
-                slower = lengths[1] / max(lengths[0], TINY)
-                further = slower / (1.0 - slower) if slower < _SLOWEST else _BESIDE_STEPS
-                most = np.maximum(most, total + further * np.abs(step))
+                    steps.append(axes @ ((axes.T @ (jacobian.T @ apart)) / (roots + WITHIN * coarser**2)))
+                    there = linear.moved(there, steps[-1], coarser, self._most)
+                first, second = np.abs(steps)
+                slower = float(second.max()) / max(float(first.max()), TINY)
+                further = 1.0 / (1.0 - slower) if slower < _SLOWEST else _BESIDE_STEPS
+                most = np.maximum(most, first + further * second)
             squares += most**2
         return np.sqrt(squares)
 
@@ -545,11 +542,9 @@ class FitLive:
         A row that floats is held by the reading's resistor at most, so that a cell alone on it has a share, too.
         """
         board, cells = self._board, np.maximum(conductance.reshape(self._shape), 0.0)
-        held = (
-            1.0 / board.pull + 1.0 / board.reference.mean()
-            if board.floating
-            else 1.0 / (board.row_lead + LEAST_SHORT_OHM)
-        )
+        held = 1.0 / board.pull + 1.0 / board.reference.mean()
+        if not board.floating:
+            held = 1.0 / (board.row_lead + LEAST_SHORT_OHM)
         end = 1.0 / (board.circuit.end_resistance(board) + LEAST_SHORT_OHM)
         along = cells.sum(axis=1, keepdims=True) + np.reshape(held, (-1, 1))
         down = cells.sum(axis=0) + end
@@ -563,20 +558,19 @@ class FitLive:
         return alone
 
     def _jacobian(self, cells: FloatArray, per_share: FloatArray) -> FloatArray:
-        """Derivatives (n, n) of readings, in standard deviations of a step's error, by shares at cells (N, M) in ohm."""
+        """Derivatives (n, n) of readings, in standard deviations of a step's error, by shares; cells (N, M) in ohm."""
         return self._derivatives(cells) * (per_share.ravel() / self._std * self._read) * self._read[:, None]
 
     def _with_inverse(self, linear: _Linear) -> _Linear | None:
         """The same with the matrix of ``solve``; None where there is none."""
-        conductance = linear.share / (1.0 - linear.share) / linear.behind
-        cells = 1.0 / np.where(conductance == 0.0, _LEAST, conductance).reshape(self._shape)
+        cells = 1.0 / linear.conductance.reshape(self._shape)
         try:
             jacobian = self._jacobian(cells, self._per_share(cells, linear.behind))
-            roots, axes = _axes(jacobian)
+            normal = jacobian.T @ jacobian + WITHIN * np.eye(len(jacobian))
+            inverse = np.linalg.solve(normal, jacobian.T / self._std)
         except np.linalg.LinAlgError:
             return None
-        inverse = ((jacobian / self._std) @ (axes / (roots + WITHIN))) @ axes.T
-        return linear._replace(inverse=np.ascontiguousarray(inverse))
+        return linear._replace(inverse=np.ascontiguousarray(inverse.T))
 
     def _one_answer(self, conductance: FloatArray) -> bool:
         """Whether no other cells give the readings, where idle columns conduct more than those that are read.
@@ -628,14 +622,16 @@ class FitLive:
         if self._several and (unread.any() or not self._one_answer(conductance)):
             more = np.full(len(more), inf)
         if self._sheet is not None:
-            more = more + self._sheet.doubt(np.log(np.maximum(conductance, _LEAST)))
+            share = linear.shares(conductance)
+            more = more + self._sheet.doubt(np.log(np.maximum(conductance, _LEAST))) * share * (1.0 - share)
         under_range: BoolArray = np.zeros(shape, dtype=np.bool_)
         if frame.under_range is not None:
             under_range = frame.under_range
         measured, per_volt = Measurement.unknown(frame.each.shape), np.where(slope > 0.0, slope, inf)
-        cells = conductance, linear.share, linear.behind, linear.std(coarser), more
+        made_at, behind = linear.share.reshape(shape), linear.behind.reshape(shape)
+        std, changes = linear.std(coarser).reshape(shape), more.reshape(shape)
         state_fitted.unchecked(
-            *(frame.volts, board.level, *(each.reshape(shape) for each in cells), per_volt, misfit),
+            *(frame.volts, board.level, conductance.reshape(shape), made_at, behind, std, changes, per_volt, misfit),
             *(self._short, unread, under_range, self._gone, self._std, self._constants),
             *(frame.noise, frame.usual, frame.each, measured.block, measured.reason),
         )

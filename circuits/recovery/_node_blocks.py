@@ -6,7 +6,8 @@ by the cells' shares are nearly a product of two vectors, so that
 
     J ~ diag(d) + P Q',        P, Q (N M, N + M), with two numbers per row: one for its row, one for its column.
 
-The normal matrix of a regularised step, J'J + w, is then a diagonal A = d^2 + w plus a product of rank 2 (N + M). By Woodbury's identity its inverse takes one inversion of a matrix of that size,
+The normal matrix of a regularised step, J'J + w, is then a diagonal A = d^2 + w plus a product of rank 2 (N + M). By
+Woodbury's identity its inverse takes one inversion of a matrix of that size,
 
     H^-1 = A^-1 - A^-1 V W V' A^-1,    V = (d P, Q),
     W^-1 = (-P' (w/A) P,  1 + P' (d/A) Q;  1 + Q' (d/A) P,  Q' (1/A) Q).

@@ -49,9 +49,9 @@ IDLE, ROW_LEAD = range(2)
 """places of what is given for each row: S of its pull-down, and ohm of the lead before it; likewise of columns"""
 END, COLUMN_IDLE, SOURCE, OUTPUT, PER_AMPERE, GAIN, SPAN, REST = range(8)
 CELLS, MODEL, MADE_AT, BEHIND, BEYOND, SHORT, HIGHEST, MOST_READ, WIDE = range(9)
-"""of cells: S and the model's volts there, shares at which the matrix was made, ohm of the lines that each sees, changes
-of shares by what derivatives leave out, V of a short, S of the largest cell, V that no cells give, and V from which on
-the structure of lines says no more
+"""of cells: S and the model's volts there, shares at which the matrix was made, ohm of the lines that each sees,
+changes of shares by what derivatives leave out, V of a short, S of the largest cell, V that no cells give, and V from
+which on the structure of lines says no more
 """
 
 
