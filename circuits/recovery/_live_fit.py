@@ -169,6 +169,7 @@ class FitLive:
         self._std = self._half_step / sqrt(3.0)
         self._hidden, self._shunt = known.cut_off, known.shunt
         self._gone = self._hidden | np.isinf(board.series_ohms) | known.shorted
+        self._present = ~(self._gone & ~self._hidden).ravel()  # else known to conduct nothing, or as a short does
         self._leads: FloatArray = sum(known.wires, np.zeros(board.shape))
         self._quick = known.model
         self._sheet = SheetModel(known.whole, self._quick) if board.continuous else None
@@ -252,7 +253,7 @@ class FitLive:
             beside = short.any() or (self._still and unread.any())
             return self._nothing(frame, DISTURBED if beside else UNSETTLED, unread | short)
         conductance, misfit, left = found
-        more = left + self._beside(conductance, unread.ravel(), coarser)
+        more = left + self._beside(conductance, unread.ravel(), coarser, self._linear)
         return self._reading(frame, conductance, coarser, misfit, more, unread)
 
     def unread(self, frame: Readings) -> BoolArray:
@@ -290,14 +291,20 @@ class FitLive:
         self._conductance, self._in_vain = conductance, 0
         return conductance
 
-    def _beside(self, conductance: FloatArray, unread: BoolArray, coarser: float) -> FloatArray:
+    def _beside(
+        self, conductance: FloatArray, unread: BoolArray, coarser: float, begun_by: _Linear | None
+    ) -> FloatArray:
         """Changes (n,) of the shares while the cells ``unread`` (n,) have any conductance, from their least to a short.
 
         One cell, or those behind a break, go through points at equal distances of the share; between these the others
         may be beyond them by an eighth of their second differences. Several go through the corners of their intervals.
         Where steps do not end, as many again count.
+
+        Raises:
+            numpy.linalg.LinAlgError: parts of the grid have no connection.
+
         """
-        cells, begun_by = np.flatnonzero(unread), self._linear
+        cells = np.flatnonzero(unread)
         most = np.zeros(len(conductance))
         if not len(cells):
             return most
@@ -329,7 +336,10 @@ class FitLive:
             else:  # some are hardly determined, or this is beyond what the readings allow
                 step *= _BESIDE_STEPS
             path.append(begun_by.shares(there))
-            most = np.maximum(most, np.abs(path[-1] - begun) + np.abs(step))
+            change = np.abs(path[-1] - begun) + np.abs(step)
+            if not on_path:
+                change += BY_STEPS * self._renewed(there, coarser).std(coarser)
+            most = np.maximum(most, change)
         if on_path:
             most += np.abs(np.diff(path, 2, axis=0)).max(axis=0) / 8.0
         return most
@@ -492,7 +502,9 @@ class FitLive:
             return std
 
         def beyond_at(coarser: float) -> FloatArray:
-            return self._beyond_linear(made, jacobian, roots, axes, coarser)
+            beyond = self._beyond_linear(made, jacobian, roots, axes, coarser)
+            tied = share + BY_STEPS * std_at(coarser) + beyond >= 1.0
+            return np.maximum(beyond, self._beside_tied(made, tied & self._present & (self._read > 0.0), coarser))
 
         amplified = inf
         if self._several and self._read.all():
@@ -535,6 +547,24 @@ class FitLive:
                 most = np.maximum(most, first + further * second)
             squares += most**2
         return np.sqrt(squares)
+
+    def _beside_tied(self, linear: _Linear, tied: BoolArray, coarser: float) -> FloatArray:
+        """Changes (n,) of the shares, with their errors, where two or more cells ``tied`` (n,) may be complete shorts.
+
+        As one that ties lines is larger, readings tell less of the cells between these lines. Infinite where more cells
+        may do so than are gone through.
+        """
+        count = np.count_nonzero(tied)
+        if count < 2 or count > _MOST_UNREAD or self._cells > _SMALL or self._sheet is not None:
+            return np.full(len(tied), 0.0 if count < 2 else inf)
+        read, self._read = self._read, np.where(tied, 0.0, self._read)
+        try:
+            beside = self._beside(linear.conductance, tied, coarser, self._renewed(linear.conductance, coarser))
+        except np.linalg.LinAlgError:
+            beside = np.full(len(tied), inf)
+        finally:
+            self._read = read
+        return beside
 
     def _behind(self, conductance: FloatArray) -> FloatArray:
         """Ohm (n,) that each of the cells (n,) in S sees of its lines where nothing drives them.

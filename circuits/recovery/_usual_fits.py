@@ -36,7 +36,9 @@ SETTLED, SMALL, LARGE = 0.3, 1e-9, 0.02
 SHORT_SHARE = 0.98
 """of the reading of a short, from which on a cell may be one"""
 FAR, FAR_ERRORS, LEAST_FAR = 0.4, 3.0, 0.02
-"""change for which derivatives no longer serve: of a logarithm, in standard deviations of a share, and of a share"""
+"""change for which derivatives no longer serve: of a logarithm, in standard deviations of a share, and of a share as far
+as it is not that of a short
+"""
 NEARER, FIRST_HALF = 0.8, 0.9
 """largest part of the way to a short in one step, and largest share after a step from the first half"""
 FAR_BELOW, MOST_BELOW = 5.0, 0.2
@@ -146,7 +148,7 @@ def moved(conductance: float, step: float, behind: float, std: float, most: floa
 def change_of(conductance: float, made_at: float, behind: float, std: float) -> float:
     """Change of a share since derivatives were made, over the largest one for which they serve."""
     share = conductance * behind / (1.0 + conductance * behind)
-    return abs(share - made_at) / max(FAR * made_at * (1.0 - made_at), FAR_ERRORS * std, LEAST_FAR)
+    return abs(share - made_at) / max(max(FAR * made_at, LEAST_FAR) * (1.0 - made_at), FAR_ERRORS * std)
 
 
 @loop
