@@ -58,6 +58,7 @@ from ._usual_fits import (
     SMALL,
     UsualFits,
     changes_of,
+    hold_lines,
     moved_by,
     shares_of,
     state_fitted,
@@ -140,10 +141,11 @@ class _Linear(NamedTuple):
         return by
 
     def moved(self, conductance: FloatArray, step: FloatArray, coarser: float, most: FloatArray) -> FloatArray:
-        """(n,) S, cells whose shares have changed by a ``step``; at most ``most``."""
-        there = np.empty(len(step))
-        moved_by.unchecked(conductance, step, self.behind, self.std(coarser), most, there)
-        return there
+        """(n,) S, cells whose shares have changed by a ``step``; at most ``most`` (N, M)."""
+        there = np.empty(most.shape)
+        moved_by.unchecked(conductance, step, self.behind, self.std(coarser), most.ravel(), there.ravel())
+        hold_lines.unchecked(there)
+        return there.ravel()
 
     def shares(self, conductance: FloatArray) -> FloatArray:
         """(n,) of conductances (n,) in S."""
@@ -192,7 +194,7 @@ class FitLive:
         most = np.minimum(_AS_SHORT / (self._leads + LEAST_SHORT_OHM), _SHORT)
         if least_ohm:
             most = np.where(self._hidden, 1.0 / least_ohm, most)
-        self._most = most.ravel()
+        self._most = most
         self._several = several_answers(board) and not board.circuit.virtual_ground
         of_row = board.shape[1] / least_ohm if least_ohm else inf
         self._least_ohm = least_ohm
@@ -269,7 +271,7 @@ class FitLive:
     def bounds(self) -> tuple[FloatArray, ...]:
         """As :class:`._usual_fits.Fit`."""
         wide = np.full(self._shape, inf) if self._nodes is None else SHORT_SHARE * self._short
-        return self._short, self._most.reshape(self._shape), self._beyond, wide
+        return self._short, self._most, self._beyond, wide
 
     def kept(self, noise: float) -> tuple[FloatArray, ...] | None:
         """As :class:`._usual_fits.Fit`."""
@@ -310,13 +312,13 @@ class FitLive:
             return most
         assert begun_by is not None
         volts, begun = self._at(conductance), begun_by.shares(conductance)
-        first, last = begun[cells], begun_by.shares(self._most)[cells]
+        first, last = begun[cells], begun_by.shares(self._most.ravel())[cells]
         on_path = len(cells) == 1 or bool(self._hidden.any())
         each = [(part / _PATH,) * len(cells) for part in range(1, _PATH + 1)] if on_path else []
         there, path, linear = conductance, [begun], begun_by
         for part in each or product((0.0, 1.0), repeat=len(cells)):
             share = first + (last - first) * np.array(part)
-            held = np.minimum(share / (1.0 - share) / begun_by.behind[cells], self._most[cells])
+            held = np.minimum(share / (1.0 - share) / begun_by.behind[cells], self._most.ravel()[cells])
             there, linear = (there, linear) if on_path else (conductance, begun_by)
             there, before, step = there.copy(), inf, begun
             there[cells] = held
@@ -352,7 +354,7 @@ class FitLive:
         conducting = apparent[apparent > 0.0]
         typical = float(np.median(conducting)) if conducting.size else _TYPICAL
         alone = np.where(apparent > 1e-3 * typical, apparent, 0.1 * typical).ravel()
-        start: FloatArray = np.minimum(alone, self._most)
+        start: FloatArray = np.minimum(alone, self._most.ravel())
         return start
 
     def _at(self, conductance: FloatArray) -> FloatArray:
@@ -384,7 +386,7 @@ class FitLive:
 
         starts = [self._closed_start(volts)]
         if start is not None:
-            starts.insert(0, np.clip(start.ravel(), _LEAST, self._most))
+            starts.insert(0, np.clip(start, _LEAST, self._most).ravel())
         if self._conductance is not None:
             starts.insert(0 if self._gains else len(starts), self._conductance)
         starts = [np.where(pinned, self._pinned, each) for each in starts]

@@ -36,13 +36,15 @@ SETTLED, SMALL, LARGE = 0.3, 1e-9, 0.02
 SHORT_SHARE = 0.98
 """of the reading of a short, from which on a cell may be one"""
 FAR, FAR_ERRORS, LEAST_FAR = 0.4, 3.0, 0.02
-"""change for which derivatives no longer serve: of a logarithm, in standard deviations of a share, and of a share as far
-as it is not that of a short
+"""change for which derivatives no longer serve: of a logarithm, in standard deviations of a share, and of a share as
+far as it is not that of a short
 """
 NEARER, FIRST_HALF = 0.8, 0.9
 """largest part of the way to a short in one step, and largest share after a step from the first half"""
-FAR_BELOW, MOST_BELOW = 5.0, 0.2
-"""how far a share may be below nothing, in standard deviations, and as a share"""
+FAR_BELOW, LEAST_BELOW, MOST_BELOW = 5.0, 0.01, 0.2
+"""how far a share may be below nothing, in standard deviations, and as a share at least and at most"""
+HELD = 0.5
+"""sum of a line's conductances over that of their sizes, below which no cell of the line may be below nothing"""
 LEAST_CELL = 1e-18
 """S: a cell's resistance has to be a number"""
 STEPS = 3  # evaluations of the model in a frame
@@ -139,9 +141,29 @@ def moved(conductance: float, step: float, behind: float, std: float, most: floa
     """
     share = conductance * behind / (1.0 + conductance * behind)
     greatest = FIRST_HALF if share <= 0.5 else share + NEARER * (1.0 - share)
-    share = min(max(share + step, -min(FAR_BELOW * std, MOST_BELOW)), greatest)
+    share = min(max(share + step, -min(max(FAR_BELOW * std, LEAST_BELOW), MOST_BELOW)), greatest)
     there = min(share / ((1.0 - share) * behind), most)
     return there if abs(there) > LEAST_CELL else LEAST_CELL
+
+
+@loop
+def hold_lines(conductance: Rows) -> None:
+    """Raise cells (N, M) below nothing on lines whose cells together hardly conduct: such a line has no potential."""
+    rows, columns = conductance.shape
+    for i in range(rows):
+        total, size = 0.0, 0.0
+        for j in range(columns):
+            total, size = total + conductance[i, j], size + abs(conductance[i, j])
+        if total < HELD * size:
+            for j in range(columns):
+                conductance[i, j] = max(conductance[i, j], LEAST_CELL)
+    for j in range(columns):
+        total, size = 0.0, 0.0
+        for i in range(rows):
+            total, size = total + conductance[i, j], size + abs(conductance[i, j])
+        if total < HELD * size:
+            for i in range(rows):
+                conductance[i, j] = max(conductance[i, j], LEAST_CELL)
 
 
 @loop
@@ -254,6 +276,7 @@ def measure_fitted(
             for j in range(columns):
                 place = i * columns + j
                 cells[i, j] = moved(cells[i, j], step[place], behind[i, j], spread[place], highest[i, j])
+        hold_lines(cells)
         if not fitted_volts(cells, of_rows, of_columns, drive, alone, *work, model):
             return False
     misfit = max(math.sqrt(squares / count), 0.5 * most) / board.half / coarser
