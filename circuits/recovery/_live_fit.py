@@ -86,7 +86,7 @@ _LEAST = 1e-18  # S: a cell's resistance has to be a number
 _AS_SHORT, _SHORT = 1e5, 1e6  # wires of a cell over its own resistance, and S, from which on it is as good as a short
 _TIE = 0.02  # cell over the reference resistor, below which it ties lines to each other
 _NO_CELLS = "no cell resistances give these readings; check that the design is that of the board"
-_MOST_UNREAD = 3  # cells whose intervals are gone through, corner by corner
+_MOST_UNREAD, _MOST_TIED = 3, 8  # cells whose intervals are gone through, by all corners and by the outermost ones
 _PATH = 4  # points on the way of a cell of unknown size to a short
 _BESIDE_STEPS, _BESIDE_STEP = 10, 0.003  # steps to the others beside it, and change of a share in the last one
 _BESIDE_SLOW = 0.5  # of a step's length over the one before, above which derivatives are made anew
@@ -255,7 +255,12 @@ class FitLive:
             beside = short.any() or (self._still and unread.any())
             return self._nothing(frame, DISTURBED if beside else UNSETTLED, unread | short)
         conductance, misfit, left = found
-        more = left + self._beside(conductance, unread.ravel(), coarser, self._linear)
+        assert self._linear is not None
+        std = self._linear.std(coarser)
+        try:
+            more = left + self._beside(conductance, unread.ravel(), coarser, self._linear, std)
+        except np.linalg.LinAlgError:
+            more = np.full(self._cells, inf)
         return self._reading(frame, conductance, coarser, misfit, more, unread)
 
     def unread(self, frame: Readings) -> BoolArray:
@@ -273,6 +278,7 @@ class FitLive:
         wide = np.full(self._shape, inf) if self._nodes is None else SHORT_SHARE * self._short
         return self._short, self._most, self._beyond, wide
 
+    @np.errstate(divide="ignore", invalid="ignore", over="ignore")
     def kept(self, noise: float) -> tuple[FloatArray, ...] | None:
         """As :class:`._usual_fits.Fit`."""
         linear = self._linear
@@ -294,13 +300,14 @@ class FitLive:
         return conductance
 
     def _beside(
-        self, conductance: FloatArray, unread: BoolArray, coarser: float, begun_by: _Linear | None
+        self, conductance: FloatArray, unread: BoolArray, coarser: float, begun_by: _Linear, std: FloatArray
     ) -> FloatArray:
         """Changes (n,) of the shares while the cells ``unread`` (n,) have any conductance, from their least to a short.
 
         One cell, or those behind a break, go through points at equal distances of the share; between these the others
-        may be beyond them by an eighth of their second differences. Several go through the corners of their intervals.
-        Where steps do not end, as many again count.
+        may be beyond them by an eighth of their second differences. Several go through the corners of their intervals,
+        many only through those where one or all are shorts, and the standard deviations (n,) there count in excess of
+        ``std``. Where steps do not end, as many again count.
 
         Raises:
             numpy.linalg.LinAlgError: parts of the grid have no connection.
@@ -310,13 +317,16 @@ class FitLive:
         most = np.zeros(len(conductance))
         if not len(cells):
             return most
-        assert begun_by is not None
         volts, begun = self._at(conductance), begun_by.shares(conductance)
         first, last = begun[cells], begun_by.shares(self._most.ravel())[cells]
         on_path = len(cells) == 1 or bool(self._hidden.any())
         each = [(part / _PATH,) * len(cells) for part in range(1, _PATH + 1)] if on_path else []
         there, path, linear = conductance, [begun], begun_by
-        for part in each or product((0.0, 1.0), repeat=len(cells)):
+        if len(cells) <= _MOST_UNREAD:
+            corners = list(product((0.0, 1.0), repeat=len(cells)))
+        else:
+            corners = [*map(tuple, np.eye(len(cells))), (1.0,) * len(cells)]
+        for part in each or corners:
             share = first + (last - first) * np.array(part)
             held = np.minimum(share / (1.0 - share) / begun_by.behind[cells], self._most.ravel()[cells])
             there, linear = (there, linear) if on_path else (conductance, begun_by)
@@ -326,10 +336,7 @@ class FitLive:
                 step = linear.solve((volts - self._at(there)) * self._read, inf)
                 length = float(np.abs(step).max())
                 if not length <= _BESIDE_SLOW * before:
-                    try:
-                        linear, before = self._renewed(there, coarser), inf
-                    except np.linalg.LinAlgError:
-                        return np.full(len(conductance), inf)
+                    linear, before = self._renewed(there, coarser), inf
                     continue
                 there, before = linear.moved(there, step, coarser, self._most), length
                 there[cells] = held
@@ -340,7 +347,7 @@ class FitLive:
             path.append(begun_by.shares(there))
             change = np.abs(path[-1] - begun) + np.abs(step)
             if not on_path:
-                change += BY_STEPS * self._renewed(there, coarser).std(coarser)
+                change += BY_STEPS * np.maximum(self._renewed(there, coarser).std(coarser) - std, 0.0)
             most = np.maximum(most, change)
         if on_path:
             most += np.abs(np.diff(path, 2, axis=0)).max(axis=0) / 8.0
@@ -557,11 +564,14 @@ class FitLive:
         may do so than are gone through.
         """
         count = np.count_nonzero(tied)
-        if count < 2 or count > _MOST_UNREAD or self._cells > _SMALL or self._sheet is not None:
-            return np.full(len(tied), 0.0 if count < 2 else inf)
+        if count < 2:
+            return np.zeros(len(tied))
+        if count > (_MOST_TIED if self._cells <= _SMALL else _MOST_UNREAD) or self._sheet is not None:
+            return np.full(len(tied), inf)
         read, self._read = self._read, np.where(tied, 0.0, self._read)
         try:
-            beside = self._beside(linear.conductance, tied, coarser, self._renewed(linear.conductance, coarser))
+            begun, std = self._renewed(linear.conductance, coarser), linear.std(coarser)
+            beside = self._beside(linear.conductance, tied, coarser, begun, std)
         except np.linalg.LinAlgError:
             beside = np.full(len(tied), inf)
         finally:
