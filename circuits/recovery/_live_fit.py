@@ -82,6 +82,7 @@ _SHORTER, _LONGER = 0.2, 3.0  # limit of a step over one that leads away, and ov
 _STUCK = 1e-9  # limit below which they have come to their end
 _MORE_DAMPING, _MOST_DAMPING = 10.0, 1e3  # times the damping until a step is short enough; most over the largest root
 _JUMP = 20.0  # half steps from which on closed formulas may be a nearer start
+_LEAST_READING = 0.03  # half steps: reading of the least conductance of cells behind a break
 _LEAST = 1e-18  # S: a cell's resistance has to be a number
 _AS_SHORT, _SHORT = 1e5, 1e6  # wires of a cell over its own resistance, and S, from which on it is as good as a short
 _TIE = 0.02  # cell over the reference resistor, below which it ties lines to each other
@@ -191,6 +192,8 @@ class FitLive:
         self._short, self._full = np.where(self._gone, inf, ideal), most  # V, of a short with and without leads
         at_ends = np.abs(board.circuit.ideal_volts(board, board.row_ohms[:, :1] + board.column_lead) - board.level)
         self._beyond = np.where(self._gone | board.circuit.virtual_ground, inf, at_ends)  # V, no cells read more
+        per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
+        self._open = (_LEAST_READING * self._half_step * per_volt).ravel()  # S, as good as open
         most = np.minimum(_AS_SHORT / (self._leads + LEAST_SHORT_OHM), _SHORT)
         if least_ohm:
             most = np.where(self._hidden, 1.0 / least_ohm, most)
@@ -247,7 +250,7 @@ class FitLive:
         if wide != self._wide or (read != self._read).any():
             self._linear = None
         self._wide, self._read = wide, read
-        self._pinned = np.where((unread & ~self._hidden).ravel(), self._closed_start(volts.ravel()), _LEAST)
+        self._pinned = np.where((unread & ~self._hidden).ravel(), self._closed_start(volts.ravel()), self._open)
         coarser = hypot(1.0, noise / self._std)
         found = self._fit(volts.ravel(), coarser, start)
         if found is None:
@@ -330,13 +333,13 @@ class FitLive:
             share = first + (last - first) * np.array(part)
             held = np.minimum(share / (1.0 - share) / begun_by.behind[cells], self._most.ravel()[cells])
             there, linear = (there, linear) if on_path else (conductance, begun_by)
-            there, before, step = there.copy(), inf, begun
+            there, before, step, anew = there.copy(), inf, begun, False
             there[cells] = held
             for _ in range(_BESIDE_STEPS):
                 step = linear.solve((volts - self._at(there)) * self._read, inf)
                 length = float(np.abs(step).max())
-                if not length <= _BESIDE_SLOW * before:
-                    linear, before = self._renewed(there, coarser), inf
+                if not (anew or length <= _BESIDE_SLOW * before):
+                    linear, before, anew = self._renewed(there, coarser), inf, True
                     continue
                 there, before = linear.moved(there, step, coarser, self._most), length
                 there[cells] = held
