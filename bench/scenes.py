@@ -29,7 +29,7 @@ MOST_VOLTS = 2.0
 """of the amplifier, for the lesser of the resistances at rest and at full scale"""
 RANGE_V = 3.3
 """of the ADC"""
-Fault = Literal["", "sparks", "lost frames", "opens", "degrading", "divider", "mismatched"]
+Fault = Literal["", "sparks", "lost frames", "opens", "intermittent", "degrading", "divider", "mismatched"]
 MISMATCH = 0.05
 """largest relative error of each parameter of a mismatched cell, of which the estimator knows the exact one"""
 COLUMN_NOISE = 4.0
@@ -280,6 +280,16 @@ def _fingers_on_an_array(t: FloatArray, _: float) -> FloatArray:
     return np.asarray(share)
 
 
+def _finger_across_an_array(t: FloatArray, _: float) -> FloatArray:
+    """A finger moves to and fro over an array of 6 x 6 cells, and away from it."""
+    rows, columns = np.mgrid[:6, :6]
+    row, column = 2.5 + 0.8 * np.sin(1.46 * t), -1.5 + 8.0 * (0.5 - 0.5 * np.cos(1.05 * t))
+    square = (rows - row[:, None, None]) ** 2 + (columns - column[:, None, None]) ** 2
+    share: FloatArray = 0.7 * np.exp(-square / 2.0)
+    share[share < 0.01] = 0.0
+    return share
+
+
 def _finger_that_vibrates(t: FloatArray, _: float) -> FloatArray:
     """39 % of full scale, 19 % to and fro at 12 Hz (6 and 3 kPa on the example cell); cells beside get less."""
     held = np.interp(t, [1.0, 1.2, 9.0, 9.1], _PRESS)
@@ -330,6 +340,7 @@ LOADS: dict[str, Load] = {
     "tremor of 4 % for a minute": Load(_tremor(0.04, 62.0), 65.0),
     "grip that trembles": Load(_grip_that_trembles, 27.0),
     "fingers on an array": Load(_fingers_on_an_array, 7.0),
+    "finger across an array": Load(_finger_across_an_array),
     "finger that vibrates": Load(_finger_that_vibrates, 12.0),
     "hold of ten minutes": Load(_ten_minutes, 620.0),
     "mixture of an hour": Load(_mixture, 3600.0),
@@ -474,7 +485,8 @@ def _faulty(counts: FloatArray, fault: Fault, frame_s: float, counts_ohm: float)
     """Counts with faults in them, and (n,) which frames arrive.
 
     A bad contact reads 2.5 times the resistance for 60 ms, every 2.9 s; three of ten frames are lost in the middle;
-    cells open for half a second, and read some megohms as they do.
+    cells open for half a second, and read some megohms as they do. Intermittent contacts of every cell are bad twice a
+    second, for 60 ms in the mean, and then read 1.4 times the resistance, 2.5 times, or nothing.
     """
     found, arrives = counts.copy(), np.ones(len(counts), dtype=np.bool_)
     seconds = len(counts) * frame_s
@@ -485,6 +497,14 @@ def _faulty(counts: FloatArray, fault: Fault, frame_s: float, counts_ohm: float)
     elif fault == "lost frames":
         middle = slice(round(0.3 * len(counts)), round(0.6 * len(counts)))
         arrives[middle] = np.random.default_rng(0).random(len(counts[middle])) > 0.3
+    elif fault == "intermittent":
+        random = np.random.default_rng(0)
+        changes = 1.0 - np.exp(-frame_s / np.array([0.5, 0.06]))
+        reads, cells = np.ones(counts.shape[1:]), counts.shape[1:]
+        for n in range(round(0.6 / frame_s), len(counts)):
+            change = random.random(cells) < changes[(reads < 1.0).astype(int)]
+            reads[change] = np.where(reads < 1.0, 1.0, random.choice([0.0, 1 / 2.5, 1 / 1.4], cells))[change]
+            found[n] = np.round(found[n] * reads)
     elif fault == "opens":
         for cell, start in enumerate(seconds * np.linspace(0.19, 0.81, counts.shape[1])):
             first, last = round(start / frame_s), round((start + 0.5) / frame_s)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from ..common.arrays import FloatArray
+from ..common.arrays import FloatArray, IntArray
 from ..common.compiled import Records
 from ..common.config import NotNegative, Positive, Section, load, write_toml
 from ..errors import InputError
@@ -161,6 +161,7 @@ class Cell(Section):
         rest_resistance_ohm: ArrayLike | None = None,
         noise: float | None = None,
         rest_error: float | None = None,
+        beside: IntArray | None = None,
     ) -> Estimator:
         """A causal estimator for cells of ``shape``.
 
@@ -173,6 +174,9 @@ class Cell(Section):
             rest_error: relative standard deviation of R0, which widens the stated deviations. None: for a calibrated
                 cell whose R0 is passed here, :data:`REST_ERROR`; else 0, since the held-out errors of a calibration
                 include the error of its own R0.
+            beside: (cells, most) cells beside each one of the flattened frame, filled up with their number. Their
+                loads tell of a cell that is not read or whose contact seems to be bad. None: those of a rectangle if
+                ``shape`` is rows and columns, else no cell tells of another one.
 
         Raises:
             InputError: no such estimator, or not one for this cell; R0 does not fit ``shape``, or ``shape`` has no
@@ -193,7 +197,7 @@ class Cell(Section):
         if not rest.size:
             raise InputError(f"frames of shape {shape} have no cells; expected at least one")
         inversion = self._inversion(name, rest, exact=conditions.noise == 0.0)
-        return Estimator(inversion, shape, rest, self._scale(rest), conditions)
+        return Estimator(inversion, shape, rest, self._scale(rest), conditions, beside)
 
     def _scale(self, rest_resistance_ohm: FloatArray) -> Records[Scale]:
         """What turns readings of n cells with these rest resistances (n,) into r."""

@@ -17,7 +17,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
@@ -25,6 +25,7 @@ from ..common.config import Finite, LocalFile, Section
 from ..common.files import read_bytes
 from ..common.text import one_line, shortened
 from ..errors import InputError
+from .ends import Statement, statements
 
 Pin = Literal["in+", "in-", "v+", "v-", "out", "ground", "open"]
 PINS: tuple[Pin, ...] = ("in+", "in-", "v+", "v-", "out")
@@ -42,7 +43,6 @@ MODEL_TYPES = (
 LTSPICE_ONLY = re.compile(r"^[bcdefghilrv].*\s(noiseless\b|(?:rpar|cpar|rser|lser|rlshunt)\s*=)", re.IGNORECASE)
 """Words of LTspice on devices, which ngspice refuses."""
 _ENCRYPTED = re.compile(r"\$CDNENC|\* Begin:.*Encrypt|^\*?\s*LTspice Encrypted", flags=re.IGNORECASE | re.MULTILINE)
-_DOS_END_OF_FILE = "\x1a"
 _ABSOLUTE = re.compile(r"\bt_abs\s*=\s*([-+]?[\d.]+(?:e[-+]?\d+)?)", re.IGNORECASE)
 _NOISELESS_CELSIUS = -273.0
 """A resistor that is at most this warm is meant to have no thermal noise."""
@@ -85,13 +85,13 @@ class AmplifierModel(Section):
         content = read_bytes(path, most_bytes=MOST_MODEL_BYTES).decode("latin-1")
         if _ENCRYPTED.search(content):
             raise InputError(f"{path}: the model is encrypted; expected plain text")
-        cards = [card for card in _statements(content, str(path)) if card.words[0] != ".end"]
+        cards = [card for card in statements(content, str(path)) if card.words[0] != ".end"]
         used = self._used(cards, str(path))
         for card in used:
             _check_card(card, str(path))
         return "\n".join(_without_thermal_noise(used))
 
-    def _used(self, cards: list[_Card], path: str) -> list[_Card]:
+    def _used(self, cards: list[Statement], path: str) -> list[Statement]:
         """The cards of the subcircuit, of those that it calls, and outside of all; libraries have many others."""
         outside: dict[str, list[str]] = {}
         calls: dict[str, set[str]] = {}
@@ -140,19 +140,7 @@ class AmplifierModel(Section):
         return used
 
 
-class _Card(NamedTuple):
-    """One statement, its continuation lines joined and its comments removed."""
-
-    line: int
-    """number in the file, from 1"""
-    text: str
-
-    @property
-    def words(self) -> list[str]:
-        return self.text.lower().replace("=", " = ").split()
-
-
-def _check_card(card: _Card, path: str) -> None:
+def _check_card(card: Statement, path: str) -> None:
     """Raise InputError for a statement of a kind that is not allowed."""
     first = card.words[0]
     where = f"{path}: line {card.line}"
@@ -175,28 +163,7 @@ def _check_card(card: _Card, path: str) -> None:
         raise InputError(f"{where}: '{shown}' would read a file")
 
 
-def _statements(content: str, path: str) -> Iterator[_Card]:
-    """Statements with their continuation lines; comments are dropped, and commands in comments refused."""
-    start, parts = 0, []
-    for number, raw in enumerate(re.split(r"\r\n|\r|\n", content.replace(_DOS_END_OF_FILE, "\n")), 1):
-        line = raw.strip()
-        if line.startswith("*#"):
-            raise InputError(f"{path}: line {number}: '{shortened(one_line(line))}' is a command to ngspice")
-        line = re.split(r";|\s\$\s|//", line, maxsplit=1)[0].strip()
-        line = re.sub(r"^(\.ends\b[^*]*)\*.*", r"\1", line, flags=re.IGNORECASE)
-        if not line or line.startswith(("*", "$")):
-            continue
-        if line.startswith("+"):
-            parts.append(line[1:])
-            continue
-        if text := " ".join(" ".join(parts).split()):
-            yield _Card(start, text)
-        start, parts = number, [line]
-    if text := " ".join(" ".join(parts).split()):
-        yield _Card(start, text)
-
-
-def _check_model_type(card: _Card, where: str, shown: str) -> None:
+def _check_model_type(card: Statement, where: str, shown: str) -> None:
     words = card.text.lower().replace("(", " ").split()
     kind = words[2] if len(words) > 2 else ""
     kind = kind.split(":")[-1] if kind.startswith("ako:") and len(words) > 3 else kind
@@ -204,7 +171,7 @@ def _check_model_type(card: _Card, where: str, shown: str) -> None:
         raise InputError(f"{where}: '{shown}': unknown type of model; expected one of {', '.join(MODEL_TYPES)}")
 
 
-def _without_thermal_noise(cards: list[_Card]) -> Iterator[str]:
+def _without_thermal_noise(cards: list[Statement]) -> Iterator[str]:
     """The statements, with ``noisy=0`` on resistors whose model has a temperature of zero kelvin."""
     scopes = _resistor_models(cards)
     inside: list[int] = []
@@ -224,7 +191,7 @@ def _without_thermal_noise(cards: list[_Card]) -> Iterator[str]:
         yield text
 
 
-def _resistor_models(cards: list[_Card]) -> dict[int | None, dict[str, bool]]:
+def _resistor_models(cards: list[Statement]) -> dict[int | None, dict[str, bool]]:
     """Whether models of resistors are without noise, by name, for each .SUBCKT by its place; None: outside of all."""
     scopes: dict[int | None, dict[str, bool]] = {}
     inside: list[int | None] = [None]
@@ -251,7 +218,7 @@ def _before_parameters(words: list[str]) -> list[str]:
     return found
 
 
-def _expanded(cards: list[_Card], reached: Iterable[str]) -> float:
+def _expanded(cards: list[Statement], reached: Iterable[str]) -> float:
     """Statements of the last of the subcircuits when all calls in it are replaced by what they call.
 
     Args:

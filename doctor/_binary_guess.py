@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..common.arrays import FloatArray, IntArray
 from ..wire import CHECKSUMS, FRAMINGS, WORDS, FieldText
 from ._guess import Chunk, Guess, board_guess, shapes
-from ._thresholds import COVERED, FEWEST, FEWEST_RETURNS, LEFT_OVER, PAUSE_S, PAUSES_APART, PROOF, PROVEN, USUAL
+from ._thresholds import COVERED, FEWEST, LEFT_OVER, PAUSE_S, PAUSES_APART, PROOF, PROVEN, SEVERAL, USUAL
 from ._word_guess import CELL_WORDS, MOST_AHEAD, Bytes, Likely, block, column, likelihood, shown, words_in
 
 MOST_BYTES = 2**17
@@ -37,7 +37,7 @@ def binary_guesses(chunks: Sequence[Chunk]) -> Iterator[Guess]:
     found: list[Likely] = []
     for length, phase in _folds(data, chunks):
         count = (len(data) - phase) // length
-        if count >= FEWEST_RETURNS and not (even and length > burst and length % burst == 0):
+        if count >= SEVERAL and not (even and length > burst and length % burst == 0):
             frames = np.frombuffer(data[phase : phase + count * length], np.uint8).reshape(-1, length)
             yield from _sorted(_rotated_blocks(data, length, phase, chunks))
             found += _framed_guesses(frames, clock.at(phase + length * np.arange(count)))

@@ -23,10 +23,10 @@ from ._thresholds import (
     AS_GOOD,
     DOUBTFUL,
     FEWEST_FRAMES,
-    FEWEST_RUNS,
     GOOD_ACCOUNTED,
     LEAST_ACCOUNTED,
     MANY_FRAMES,
+    SEVERAL,
     SURE,
 )
 
@@ -170,7 +170,7 @@ def _tried(guess: Guess, chunks: Sequence[Chunk]) -> Draft | None:
 def _copies(frames: Sequence[bytes]) -> int:
     """How many times each frame comes: the length of all runs of equal ones but the first and the last."""
     runs = [len(list(run)) for _, run in groupby(frames)][1:-1]
-    return runs[0] if len(runs) >= FEWEST_RUNS and len(set(runs)) == 1 and runs[0] <= MOST_COPIES else 1
+    return runs[0] if len(runs) >= SEVERAL and len(set(runs)) == 1 and runs[0] <= MOST_COPIES else 1
 
 
 def decoded(family: Family, chunks: Sequence[Chunk]) -> tuple[list[tuple[float, FramePacket]], float]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..common.arrays import FloatArray
 from ..wire import WORDS
-from ._thresholds import CLOCKS_DIFFER, FEWEST_STEPS, USUAL
+from ._thresholds import CLOCKS_DIFFER, SEVERAL, USUAL
 
 USUAL_BITS = 12
 """of a converter whose largest count has not been seen: too many bits cost nothing while no circuit is known"""
@@ -73,7 +73,7 @@ def counting_role(values: FloatArray, times_s: FloatArray) -> str | None:
     """
     steps = np.diff(values)
     risen = steps[steps != 0]
-    if len(risen) < FEWEST_STEPS or not (risen > 0).all() or len(risen) < 0.1 * len(steps):
+    if len(risen) < SEVERAL or not (risen > 0).all() or len(risen) < 0.1 * len(steps):
         return None
     elapsed_s = float(times_s[-1] - times_s[0])
     whole = bool((values == np.rint(values)).all())

@@ -21,7 +21,7 @@ import numpy as np
 from ..common.arrays import FloatArray
 from ._guess import Chunk, Guess, board_guess, counting_role, shapes
 from ._json_guess import json_guesses
-from ._thresholds import FEWEST, LINES_ALIKE, PAUSE_S, PROVEN, TEXT_SHARE, USUAL
+from ._thresholds import FEWEST, PAUSE_S, PROVEN, TEXT_SHARE, USUAL
 from ._word_guess import words_in
 
 MOST_ROWS = 256
@@ -391,6 +391,6 @@ def _rows_without_end(lines: Sequence[_Line], numbers: FloatArray) -> Iterator[t
     filled = np.nan_to_num(numbers)
     apart = np.array([np.abs(filled[lag:] - filled[:-lag]).mean() for lag in range(1, most + 1)])
     least = apart[1:].min()
-    if least < LINES_ALIKE * apart[0]:
+    if least < USUAL * apart[0]:
         rows = 2 + int(np.flatnonzero(apart[1:] <= 1.1 * least)[0])
         yield rows, f"lines {rows} apart are alike"

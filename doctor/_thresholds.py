@@ -7,7 +7,8 @@ from __future__ import annotations
 
 # Shares of the cases, by how much an exception costs.
 USUAL = 0.8
-"""makes a rule: noise, boot messages and pauses of the operating system are the rest"""
+"""makes a rule: noise, boot messages and pauses of the operating system are the rest; a ratio of differences from which
+on they are alike"""
 PROVEN = 0.95
 """makes a rule of what lines or packets say themselves: a place, a length between delimiters"""
 SURE = 0.995
@@ -32,12 +33,8 @@ FEWEST_FRAMES = 2
 """that a decoder must find: the slowest board sends two while it is listened to"""
 MANY_FRAMES = 10
 """that are enough"""
-FEWEST_RETURNS = 5
-"""of a header: cells of few values look like one by chance in fewer frames"""
-FEWEST_STEPS = 5
-"""of a number that rises"""
-FEWEST_RUNS = 4
-"""of equal frames that show how many copies are sent"""
+SEVERAL = 5
+"""returns of a header, steps of a number that rises, runs of equal frames: fewer look like one by chance"""
 
 # Times, in s.
 PAUSE_S = 0.003
@@ -50,8 +47,6 @@ EVEN_STEPS = 0.5
 """share by which the steps of a time may differ from the median one"""
 
 # Differences between numbers, relative.
-LINES_ALIKE = 0.8
-"""of lines some lines apart over those one apart, below which a frame has that many lines"""
 HALF = 0.05
 """scatter of every other number over that of the rest, below which they are halves of longer words"""
 HALVES_ALIKE = 0.4

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..common.arrays import FloatArray
 from ..wire import WORDS
 from ._guess import Guess, board_guess, shapes
-from ._thresholds import CLOCKS_DIFFER, EVEN_STEPS, FEWEST_STEPS, HALF, HALVES_ALIKE, USUAL
+from ._thresholds import CLOCKS_DIFFER, EVEN_STEPS, HALF, HALVES_ALIKE, SEVERAL, USUAL
 
 MOST_AHEAD = 12
 """bytes between header and words, at most"""
@@ -56,7 +56,7 @@ def counter(packets: Bytes, at: int, times_s: FloatArray) -> list[str]:
     found = []
     for name in _NUMBER_WORDS:
         size = WORDS[name].size_of(1)
-        if at + size > packets.shape[1] or len(packets) <= FEWEST_STEPS:
+        if at + size > packets.shape[1] or len(packets) <= SEVERAL:
             continue
         values, wrap = column(packets, at, name), 2.0 ** (8 * size)
         steps = np.mod(np.diff(values), wrap)

@@ -27,7 +27,6 @@ def take_frame(
     columns: Records[Line],
     near: PlaceRows,
     weights: Rows,
-    beside: PlaceRows,
     opposite: PlaceRows,
     cells: Records[Touched],
     labels: Places,
@@ -50,7 +49,6 @@ def take_frame(
         columns: see ``untouched``.
         near: see ``untouched``.
         weights: see ``untouched``.
-        beside: see ``untouched``.
         opposite: see ``untouched``.
         cells: (n,) what is remembered of them.
         labels: (n,) number of the contact of each cell, from 1; 0: none. Those of the last frame; written.
@@ -95,7 +93,6 @@ def take_frame(
         spots,
         near,
         weights,
-        beside,
         rows,
         columns,
         cells,

@@ -111,7 +111,7 @@ class ContactTracker:
         )
         self._skin = (
             *(untouched, skin.spots, skin.rows, skin.columns),
-            *(skin.near, skin.weights, skin.beside, skin.opposite),
+            *(skin.near, skin.weights, skin.opposite),
         )
         self._cells, self._labels = zeros(Touched, count), np.zeros(count, dtype=np.intp)
         self._cells["pressed_s"], self._cells["read_s"] = np.inf, -np.inf

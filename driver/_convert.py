@@ -261,7 +261,8 @@ class Converter:
     def _fresh_estimate(self) -> Estimate | None:
         if self.cell is None or self._rest is None:
             return None
-        return Estimate(self.cell, self.shape, self._estimator_name, self._rest, self._calibration)
+        beside = self.geometry.neighbours.beside
+        return Estimate(self.cell, self.shape, self._estimator_name, self._rest, self._calibration, beside)
 
     def _new_estimate(self) -> Estimate | None:
         """Start the estimator and the model of line faults, for the rest resistances in use."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..cell import Cell, Estimator
 from ..circuits import Reason
-from ..common.arrays import FloatArray
+from ..common.arrays import FloatArray, IntArray
 from ..common.measurement import CONDUCTANCE, Measurement
 from ._calibration import Calibration
 from ._column_steps import ColumnSteps
@@ -21,10 +21,21 @@ class Estimate:
     """The estimator of one skin with certain rest resistances, from its start on."""
 
     def __init__(
-        self, cell: Cell, shape: tuple[int, int], name: str | None, rest: Rest, calibration: Calibration | None
+        self,
+        cell: Cell,
+        shape: tuple[int, int],
+        name: str | None,
+        rest: Rest,
+        calibration: Calibration | None,
+        beside: IntArray | None = None,
     ) -> None:
-        """Start without a memory of loads, with the rest resistances that are in use now."""
-        self.estimator: Estimator = cell.estimator(shape, name, rest_resistance_ohm=rest.ohm, rest_error=rest.error)
+        """Start without a memory of loads, with the rest resistances that are in use now.
+
+        ``beside``: see :meth:`ohmskin.cell.Cell.estimator`.
+        """
+        self.estimator: Estimator = cell.estimator(
+            shape, name, rest_resistance_ohm=rest.ohm, rest_error=rest.error, beside=beside
+        )
         self._rest, self._calibration = rest, calibration
         self._column_steps = ColumnSteps(self.estimator.rest_ohm, self.estimator.side, rest_known=rest.known)
         self._open_at_rest = cell.open_at_rest

@@ -48,7 +48,6 @@ def find(
     spots: Records[Spot],
     near: PlaceRows,
     weights: Rows,
-    beside: PlaceRows,
     rows: Records[Line],
     columns: Records[Line],
     cells: Records[Touched],
@@ -69,9 +68,8 @@ def find(
     Args:
         untouched: thresholds.
         spots: (n,)
-        near: (n, most) as ``weights`` and ``beside``.
+        near: (n, most) as ``weights``.
         weights: see ``near``.
-        beside: see ``near``.
         rows: lines, as ``columns``.
         columns: see ``rows``.
         cells: (n,) what is remembered of them.
@@ -140,7 +138,7 @@ def find(
             fresh = fresh and before[cell] == 0
         kept[k] = kept[k] and not behind
         if kept[k] and fresh:
-            kept[k] = is_no_disturbance(own_cells, untouched, spots, beside, rows, columns, cells, excess, std)
+            kept[k] = is_no_disturbance(own_cells, untouched, spots, rows, columns, cells, excess, std)
     numbers, contacts = np.zeros(found + 1, np.intp), 0
     for k in range(1, found + 1):
         if kept[k]:
@@ -336,7 +334,6 @@ def is_no_disturbance(
     own: Places,
     untouched: Untouched,
     spots: Records[Spot],
-    beside: PlaceRows,
     rows: Records[Line],
     columns: Records[Line],
     cells: Records[Touched],
@@ -353,7 +350,7 @@ def is_no_disturbance(
         at_once = at_once or cell.step_kpa > AT_ONCE * above
     if since == -math.inf:
         lasts = math.inf
-    if (under_range or at_once) and may_be_fault(own, untouched, spots, beside, rows, columns, excess):
+    if (under_range or at_once) and may_be_fault(own, untouched, spots, rows, columns, excess):
         return lasts > INTERMITTENT_S
     return lasts > 0.0 or not (within_line(own, spots, ROW) or within_line(own, spots, COLUMN))
 
@@ -363,15 +360,14 @@ def may_be_fault(
     own: Places,
     untouched: Untouched,
     spots: Records[Spot],
-    beside: PlaceRows,
     rows: Records[Line],
     columns: Records[Line],
     excess: Row,
 ) -> bool:
     """Whether cells ``own`` (m,) are what electrical faults move together.
 
-    Whole lines move alike by a converter or a connector. What adds resistance moves cells of which no two lie side by
-    side, or a line from a crack to its end; that looks like a press only where loads add resistance.
+    Whole lines move alike by a converter or a connector. What adds resistance moves a line from a crack to its end, and
+    looks like a press only where loads add resistance. The estimator looks after single cells.
     """
     least, most = math.inf, -math.inf
     for i in own:
@@ -381,15 +377,6 @@ def may_be_fault(
         return True
     if untouched.faults_press == 0.0:
         return False
-    member = np.zeros(spots.size + 1, np.bool_)
-    for i in own:
-        member[i] = True
-    apart = True
-    for i in own:
-        for other in beside[i]:
-            apart = apart and not member[other]
-    if apart:
-        return True
     if within_line(own, spots, ROW):
         return to_end(own, spots, rows, ROW)
     return within_line(own, spots, COLUMN) and to_end(own, spots, columns, COLUMN)

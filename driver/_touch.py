@@ -149,7 +149,7 @@ class Skin:
     def __init__(self, geometry: Geometry) -> None:
         count = geometry.areas_mm2.size
         neighbours, exists = geometry.neighbours, geometry.exists.ravel()
-        self.near, self.beside, self.opposite = neighbours.near, neighbours.beside, neighbours.opposite
+        self.near, self.opposite = neighbours.near, neighbours.opposite
         """(cells, most) and (n, 3), see :class:`ohmskin.common.geometry.Neighbours`"""
         self.weights = np.where(self.near < count, AT_CORNER, 0.0)
         """(cells, most) of the near ones under a fingertip"""

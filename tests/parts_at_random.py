@@ -19,6 +19,7 @@ def real_design(
     *,
     circuit: str | None = None,
     faults: int = 0,
+    smallest: int = 2,
     largest: int = 4,
     idle_lines: bool = False,
     **readout: Any,
@@ -28,7 +29,7 @@ def real_design(
     ``idle_lines``: rows on pull-downs and multiplexed columns occur as well.
     """
     rng = np.random.default_rng(seed)
-    rows, columns = (int(n) for n in rng.integers(2, largest + 1, 2))
+    rows, columns = (int(n) for n in rng.integers(smallest, largest + 1, 2))
     cells = 10 ** rng.uniform(2, 6, (rows, columns))
 
     circuit = circuit or str(rng.choice(SENSING_COLUMNS))

@@ -179,34 +179,58 @@ def test_fields_that_fit_no_frame_are_refused(frame: dict[str, Any], message: st
 
 # Lines
 
+LINE, CELL = b"1,2,3,4,5,6\n", [f"{k}\n".encode() for k in range(1, 7)]
+ROWS, CELLS = {"layout": "row-per-line"}, {"layout": "cell-per-line"}
+SKIPPED = {"skip": 1, "numbered_rows": True}
+NUMBERED = [[b"%d: 1 2 3\n" % first, b"%d: 4 5 6\n" % (first + 1)] * 3 for first in (0, 1)]
+BY_COLUMNS = [f"({r},{c}): {A[r][c]}\n".encode() for c in range(3) for r in range(2)]
+NAMED_CELLS = [f"S{k + 1}={k + 7}\n".encode() for k in range(6)]
+OTHER_NUMBERS: list[tuple[dict[str, Any], bytes]] = [
+    ({"encoding": "hex"}, b"1 2 3 4 5 6"),
+    ({"encoding": "hex", "separator": ","}, b"0x01,02,3,4,5,06"),
+    ({"encoding": "hex", "word": "uint8"}, b"010203040506"),
+    ({"encoding": "hex", "word": "uint16be", "prefix": "M"}, b"M000100020003000400050006"),
+    ({"encoding": "base64", "word": "uint16le"}, b"AQACAAMABAAFAAYA"),
+]
+HEARD: list[tuple[dict[str, Any], list[bytes], list[Any]]] = [
+    # Text beside the rows of a frame costs nothing; the first frame is the one that the host joins.
+    (ROWS | {"end": ""}, [b"1 2 3\r\n4 5 6\r\nsum of all\r\n\r\n"] * 5, [A] * 4),
+    (ROWS | {"end": ""}, [b"frame\r\n1 2 3\r\n4 5 6\r\n\r\n"] * 5, [A] * 4),
+    (ROWS | {"end": "matrix"}, [b"centre\r\nmatrix\r\n1 2 3\r\n4 5 6\r\n"] * 5, [A] * 4),
+    (ROWS | {"end": ""}, [b"1 2 3\r\n4 5 6\r\n-------\r\n\r\n"] * 5, [A] * 4),
+    (ROWS | {"end": "---"}, [b"1 2 3\r\n4 5 6\r\n-------\r\n\r\n"] * 5, [A] * 4),
+    # Between them it may be a damaged row.
+    (ROWS | {"end": ""}, [b"1 2 3\r\n4 5 6\r\n\r\n", b"1 2 3\r\n4 x 6\r\n4 5 6\r\n\r\n"] * 2, [A]),
+    # Anything may separate numbers, and a prefix tells them from other text.
+    ({"separator": "xz"}, [b"cut\n", b"1x2x3xz4x5x6x\r\n"], [A]),
+    *(({}, [b"cut\n", line], [A]) for line in (LINE, b" 1  2 3\t4;5, 6;\n", b"1.0 2e0 +3 4.4 4.6 6\n")),
+    ({"prefix": "{", "suffix": "}"}, [b"{1,2,3,4,5,6}\n1,2,3,4,5,6\n{7,8,9\n{7 8 9 10 11 12 }\n"], [A, B]),
+    ({"prefix": "data:"}, [b"data: 1 2 3 4 5 6\n9 9 9 9 9 9\ndata:7 8 9 10 11 12\n"], [A, B]),
+    *((keys, [b"x\n", line + b"\r\n", line[:-1] + b"!\r\n", line + b"\n"], [A, A]) for keys, line in OTHER_NUMBERS),
+    # A line for each cell; numbers with names; cells that say row and column in any order; rows with numbers.
+    (CELLS | {"end": ""}, [b"5\n\n", *CELL, b"\n", *CELL[1:], b"\n", *CELL, b"\n"], [A, A]),
+    ({"labels": True}, [b"\nA0:1,A1:2 A2 = 3 left:4,right: 5,up:6\n"], [A]),
+    (CELLS | {"line": "({row},{column}): {cells}"}, [*BY_COLUMNS[3:], *BY_COLUMNS, *BY_COLUMNS], [A, A]),
+    (CELLS | {"line": "S{index}={cells}"}, NAMED_CELLS * 2, [B, B]),
+    *((ROWS | SKIPPED, [b"x\n", *rows[1:]], [A, A]) for rows in NUMBERED),
+    *(
+        (ROWS | {"skip": 1, "numbered_rows": True}, [b"x\n", *rows[:2], rows[0], *rows[2:4]], [A, A])
+        for rows in NUMBERED
+    ),
+    # Copies of a frame are dropped, and equal frames are not.
+    ({"copies": 2}, [b"x\n", *[LINE] * 2, *[b"7 8 9 10 11 12\n"] * 4, LINE], [A, B, B, A]),
+    # Numbers find their cells.
+    ({"order": "column-major"}, [b"\n", LINE], [[[1, 3, 5], [2, 4, 6]]]),
+    ({"flip_rows": True}, [b"\n", LINE], [[[4, 5, 6], [1, 2, 3]]]),
+    ({"flip_columns": True}, [b"\n", LINE], [[[3, 2, 1], [6, 5, 4]]]),
+    ({"invert": True}, [b"\n", LINE], [[[254, 253, 252], [251, 250, 249]]]),
+    ({"range": [1.0, 6.0]}, [b"\n", LINE], [[[0, 51, 102], [153, 204, 255]]]),
+]
 
-@pytest.mark.parametrize(
-    ("end", "sent"),
-    [
-        ("", b"1 2 3\r\n4 5 6\r\nsum of all\r\n\r\n"),
-        ("", b"frame\r\n1 2 3\r\n4 5 6\r\n\r\n"),
-        ("matrix", b"centre\r\nmatrix\r\n1 2 3\r\n4 5 6\r\n"),
-        ("", b"1 2 3\r\n4 5 6\r\n-------\r\n\r\n"),
-        ("---", b"1 2 3\r\n4 5 6\r\n-------\r\n\r\n"),
-    ],
-)
-def test_text_beside_the_rows_of_a_frame_costs_nothing(end: str, sent: bytes) -> None:
-    """The first frame is the one that the host joins."""
-    assert frames(heard(text("row-per-line", end=end), *[sent] * 5)) == [A] * 4
 
-
-def test_text_between_the_rows_of_a_frame_may_be_a_damaged_row() -> None:
-    good, damaged = b"1 2 3\r\n4 5 6\r\n\r\n", b"1 2 3\r\n4 x 6\r\n4 5 6\r\n\r\n"
-    assert frames(heard(text("row-per-line", end=""), good, damaged, good, damaged)) == [A]
-
-
-def test_letters_separate_numbers() -> None:
-    assert frames(heard(text(separator="xz"), b"cut\n", b"1x2x3xz4x5x6x\r\n")) == [A]
-
-
-def test_numbers_with_any_separator_in_a_line() -> None:
-    for line in (b"1,2,3,4,5,6\r\n", b" 1  2 3\t4;5, 6;\n", b"1.0 2e0 +3 4.4 4.6 6\n"):
-        assert frames(heard(text(), b"cut\n", line)) == [A]
+@pytest.mark.parametrize(("keys", "pieces", "expected"), HEARD)
+def test_lines_are_read_as_the_file_says(keys: dict[str, Any], pieces: list[bytes], expected: list[Any]) -> None:
+    assert frames(heard(text(**keys), *pieces)) == expected
 
 
 def test_text_is_skipped_and_counted_and_damaged_lines_are_dropped() -> None:
@@ -216,14 +240,6 @@ def test_text_is_skipped_and_counted_and_damaged_lines_are_dropped() -> None:
     assert len(reasons(events)) == 4
     assert "'[wifi] rssi -60'" in reasons(events)[2]
     assert reasons(events)[1] == "a line of 5 numbers; expected 6"
-
-
-def test_a_prefix_tells_lines_with_numbers_from_others() -> None:
-    assert frames(heard(text(prefix="{", suffix="}"), b"{1,2,3,4,5,6}\n1,2,3,4,5,6\n{7,8,9\n{7 8 9 10 11 12 }\n")) == [
-        A,
-        B,
-    ]
-    assert frames(heard(text(prefix="data:"), b"data: 1 2 3 4 5 6\n9 9 9 9 9 9\ndata:7 8 9 10 11 12\n")) == [A, B]
 
 
 @pytest.mark.parametrize("missing", ["", "nan", "NaN", "null", "-", "inf", "ovf", "-3", "256", "1e99"])
@@ -248,21 +264,6 @@ def test_a_line_for_each_row_until_an_end_line(end: str) -> None:
     assert frames(heard(family, end_line, *rows[:2], *rows[3:], *rows)) == [A, B]  # a lost end line costs both frames
     assert frames(heard(family, end_line, rows[0], b"wifi 5\n", *rows[1:])) == [B]
     assert frames(heard(family, end_line, *rows[:3], b"wifi: x\n", *rows[3:])) == [A, B]
-
-
-def test_a_line_for_each_cell_and_numbers_with_names() -> None:
-    family = text("cell-per-line", end="")
-    lines = [f"{k}\n".encode() for k in range(1, 7)]
-    assert frames(heard(family, b"5\n\n", *lines, b"\n", *lines[1:], b"\n", *lines, b"\n")) == [A, A]
-    assert frames(heard(text(labels=True), b"\nA0:1,A1:2 A2 = 3 left:4,right: 5,up:6\n")) == [A]
-
-
-def test_numbered_rows_show_where_a_frame_begins() -> None:
-    family = text("row-per-line", skip=1, numbered_rows=True)
-    for first in (0, 1):
-        rows = [f"{first + k}: {line}\n".encode() for k, line in enumerate(("1 2 3", "4 5 6"))] * 3
-        assert frames(heard(family, b"x\n", *rows[1:])) == [A, A]
-        assert frames(heard(family, b"x\n", *rows[:2], rows[0], *rows[2:4])) == [A, A]
 
 
 def test_pauses_show_where_a_frame_begins_where_nothing_else_does() -> None:
@@ -315,28 +316,6 @@ def test_a_pattern_says_what_a_line_looks_like(
         assert [event.sequence for event in events] == [250 + k for k in (1, 2, 4, 5)]
 
 
-def test_cells_say_row_and_column_in_any_order() -> None:
-    family = text("cell-per-line", line="({row},{column}): {cells}")
-    by_columns = [f"({r},{c}): {A[r][c]}\n".encode() for c in range(3) for r in range(2)]
-    assert frames(heard(family, *by_columns[3:], *by_columns, *by_columns)) == [A, A]
-    family = text("cell-per-line", line="S{index}={cells}")
-    assert frames(heard(family, *[f"S{k + 1}={k + 7}\n".encode() for k in [*range(6)] * 2])) == [B, B]
-
-
-@pytest.mark.parametrize(
-    ("keys", "line"),
-    [
-        ({"encoding": "hex"}, b"1 2 3 4 5 6"),
-        ({"encoding": "hex", "separator": ","}, b"0x01,02,3,4,5,06"),
-        ({"encoding": "hex", "word": "uint8"}, b"010203040506"),
-        ({"encoding": "hex", "word": "uint16be", "prefix": "M"}, b"M000100020003000400050006"),
-        ({"encoding": "base64", "word": "uint16le"}, b"AQACAAMABAAFAAYA"),
-    ],
-)
-def test_numbers_that_are_not_decimal(keys: dict[str, Any], line: bytes) -> None:
-    assert frames(heard(text(**keys), b"x\n", line + b"\r\n", line[:-1] + b"!\r\n", line + b"\n")) == [A, A]
-
-
 @given(frame=st.binary(min_size=6, max_size=400), name=st.sampled_from(sorted(FRAMINGS)))
 def test_a_framing_gives_back_what_it_was_given(frame: bytes, name: str) -> None:
     """And its delimiter stands between packets only."""
@@ -367,12 +346,6 @@ def test_two_numbers_share_three_bytes() -> None:
         )
 
 
-def test_copies_of_a_frame_are_dropped_and_equal_frames_are_not() -> None:
-    family = text(copies=2)
-    one, other = b"1 2 3 4 5 6\n", b"7 8 9 10 11 12\n"
-    assert frames(heard(family, b"x\n", *[one] * 2, *[other] * 4, one)) == [A, B, B, A]
-
-
 def test_json_keys_with_stars_and_named_numbers() -> None:
     rows = described({"format": "json", "key": "row*", "time_ms": "t", "number": "head.n"})
     document = {"t": 12, "head": {"n": 3}, "row0": [1, 2, 3], "row1": [4, 5, 6]}
@@ -395,21 +368,6 @@ def test_json_documents() -> None:
     assert frames(heard(described({"format": "json"}), b'[1,2,3,4,5,6]\n[1,"2",3,4,5,6]\n[1,2,3\n')) == [A]
     for hostile in (b"[" * 5000, b"[1e999,2,3,4,5,6]", b"[" + b"9" * 900 + b",2,3,4,5,6]", b"{}", b"[true,2,3,4,5,6]"):
         assert all(frame[1] == [4, 5, 6] for frame in frames(heard(described({"format": "json"}), hostile + b"\n")))
-
-
-# The order of the numbers
-
-
-def test_numbers_find_their_cells() -> None:
-    line = b"\n1,2,3,4,5,6\n"
-    for keys, expected in (
-        ({"order": "column-major"}, [[1, 3, 5], [2, 4, 6]]),
-        ({"flip_rows": True}, [[4, 5, 6], [1, 2, 3]]),
-        ({"flip_columns": True}, [[3, 2, 1], [6, 5, 4]]),
-        ({"invert": True}, [[254, 253, 252], [251, 250, 249]]),
-        ({"range": [1.0, 6.0]}, [[0, 51, 102], [153, 204, 255]]),
-    ):
-        assert frames(heard(text(**keys), line)) == [expected]
 
 
 # Words

@@ -297,6 +297,17 @@ def test_the_papers_estimator_inverts_the_papers_model_and_needs_its_threshold()
     assert np.abs(lost[110:] - FULL_KPA).max() > 0.3
 
 
+def test_the_papers_estimator_is_exact_at_every_turn() -> None:
+    """Where dr/dt is that of the frame: pressure and resistance are continuous where the model changes."""
+    model: Any = EXAMPLE.model
+    time = 0.02 * np.arange(400)
+    load = FULL_KPA * np.interp(time, [0.04, 2, 3.5, 5.5, 6.5, 8], [0, 0.5, 0.2, 0.8, 0.4, 0.9])
+    read = EXAMPLE.forward(()).run(np.full(time.size, 0.02), load)
+    assert exactly(EXAMPLE.replace(model=model.replace(derivative_s=0.0)), "paper", time, read) == pytest.approx(
+        load, abs=1e-8
+    )
+
+
 # -- states, copies, kernels --
 
 _NAMES = [("example", "static"), ("example", "paper"), ("example", "inverse"), ("contact", None)]

@@ -311,6 +311,28 @@ def test_a_narrow_reading_is_a_kalman_update(take: Callable[..., None], seed: in
     assert density == pytest.approx(norm.logpdf(off, scale=var**0.5))
 
 
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 5.0), st.floats(-0.2, 0.2))
+@pytest.mark.parametrize("take", [filters.take_exact, filters.take_interval])
+def test_a_load_that_shakes_is_read_somewhere_in_its_swing(
+    take: Callable[..., None], seed: int, speed: float, off: float
+) -> None:
+    """Swings of ``swing_s`` times the speed are noise of a reading, at the mean gain of both phases; nobody else's."""
+    mean, covariance = drawn(seed)
+    mean[2] = speed
+    gain = 0.5 * (MATERIAL.gu + MATERIAL.g1)
+    swing = (gain * TUNING.swing_s) ** 2 * (speed**2 + covariance[2, 2])
+    c, at = zeros(filters.Candidates, 1)[0], mean[1] + off
+    for place, noise in ((modes.SHAKE, swing), (modes.MODES + modes.SHAKE, swing), (modes.LINE_UP, 0.0)):
+        written(c, place, mean, covariance)
+        c.likelihood[place] = 1.0
+        take(c, at, at, 1e-4, step_of(0.01))
+        var = covariance[1, 1] + 1e-4 + noise
+        found, left = gaussian(c, place)
+        np.testing.assert_allclose(found, mean + covariance[:, 1] / var * off, atol=1e-12)
+        np.testing.assert_allclose(left, covariance - np.outer(covariance[1], covariance[1]) / var, atol=1e-12)
+        assert np.log(c.likelihood[place]) - c.distance[place] == pytest.approx(norm.logpdf(off, scale=var**0.5))
+
+
 @given(st.integers(0, 2**32 - 1), st.floats(-2.5, 1.5), st.floats(1.0, 1e6))
 def test_an_interval_is_what_lies_within_it(seed: int, low: float, width: float) -> None:
     """Mean, variance and probability of a normal reading that is cut at both ends."""
@@ -637,6 +659,46 @@ def test_a_gap_widens_the_deviation_until_readings_come_back() -> None:
     assert (np.diff(std[200:240]) >= 0.0).all()
     assert std[299] > 10.0 * std[199]
     assert abs(found[-1] - 0.5 * FULL_KPA) < 2.0 * std[-1] + 0.01 * FULL_KPA
+
+
+def test_what_the_load_may_have_become_in_a_gap_counts_as_doubt() -> None:
+    """The last load is kept, and its deviation covers what the filter expects: that a ramp has gone on."""
+    load = 0.3 * (0.02 * np.arange(120))[:, None]
+    ohm = CELL.forward((1,)).run(np.full(120, 0.02), load * FULL_KPA)
+    ohm *= 1.0 + 2e-4 * np.random.default_rng(0).standard_normal(ohm.shape)
+    ohm[100:] = np.nan
+    estimator, off = CELL.estimator((1,)), 0.0
+    for n, frame in enumerate(ohm):
+        shown = float(estimator.step(0.02, frame)[0]) / FULL_KPA
+        if n >= 100:
+            reading = estimator._readings[0]
+            off = reading.load - shown
+            assert (estimator.std_kpa[0] / FULL_KPA) ** 2 == pytest.approx(reading.load_variance + off**2)
+    assert off > 0.05
+
+
+@pytest.mark.parametrize("at_rest", [False, True])
+def test_a_bad_contact_that_is_over_has_been_a_gap(at_rest: bool) -> None:
+    """Estimates from before it go on without readings, and the first that returns to them is taken by them."""
+    time = 0.01 * np.arange(160)
+    load = np.interp(time, [0.5, 0.6, 1.1, 1.6], [0, 0.5, 0.5, 0.6])[:, None] * (0.0 if at_rest else 1.0)
+    ohm = CELL.forward((1,)).run(np.full(160, 0.01), load * FULL_KPA)
+    ohm *= 1.0 + 3e-4 * np.random.default_rng(1).standard_normal(ohm.shape)
+    bad, missing = CELL.estimator((1,)), CELL.estimator((1,))
+    for n, frame in enumerate(ohm):
+        lost = 120 <= n < 129
+        # Both measure their noise by the same readings.
+        shown = [
+            bad.step(0.01, frame * (3.5 if lost else 1.0))[0],
+            missing.step(0.01, frame * (np.nan if lost else 1.0))[0],
+        ]
+        if n in (129, 130):
+            assert bad._watches["since_s"][0] == 0.0
+            assert shown[0] / FULL_KPA == pytest.approx(shown[1] / FULL_KPA, abs=1e-3)
+            assert bad.std_kpa[0] == pytest.approx(missing.std_kpa[0], rel=0.1)
+            ones, others = bad._cells[0], missing._cells[0]
+            heavy = others.w > 0.05
+            np.testing.assert_allclose(ones.s[heavy], others.s[heavy], atol=2e-3)
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.5, 4.0])

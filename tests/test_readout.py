@@ -22,7 +22,6 @@ from ohmskin.circuits import (
     live_recovery,
     recover,
     scan,
-    sensitivity,
     volts_of_codes,
 )
 from ohmskin.common.config import parse
@@ -46,17 +45,6 @@ def test_a_signal_too_small_for_a_quotient_is_none(design: Design) -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_unequal_parts(circuit: str, seed: int) -> None:
     assert_reads_as_the_reference(*real_design(seed, circuit=circuit))
-
-
-@pytest.mark.parametrize("idle_rows", ["ground", "float"])
-@pytest.mark.parametrize("idle_columns", ["float", "load"])
-def test_divider_with_line_resistance(idle_rows: str, idle_columns: str) -> None:
-    rng = np.random.default_rng(5)
-    for shape in [(1, 4), (4, 1), (4, 4)]:
-        design = divider(
-            *shape, idle_rows=idle_rows, idle_columns=idle_columns, row_lead=30.0, column_lead=7.0, row_segment=4.0
-        )
-        assert_reads_as_the_reference(design, 10 ** rng.uniform(2, 5, shape))
 
 
 @pytest.mark.parametrize("kind", ["open-cell", "broken-row", "broken-column"])
@@ -284,24 +272,6 @@ def test_a_key_without_effect_is_an_error(
     plain = board(circuit, 2, 2, drive={"voltage": 1.0}, readout={"reference_resistance": 1e3})
     with pytest.raises(InputError, match=message):
         plain.replace(drive=drive, readout=readout)
-
-
-@pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider", "row-amplifier"])
-@pytest.mark.parametrize("seed", range(4))
-def test_derivatives_are_those_of_the_reading(circuit: str, seed: int) -> None:
-    """By the adjoint method against finite differences, a line or all parts at a time."""
-    design, cells = real_design(seed, circuit=circuit, largest=3, idle_lines=True)
-    found, h = sensitivity(design, cells), 1e-5
-    one = design.readout.columns == "multiplexed"
-    for section, key in (("array", "row_lead"), ("array", "column_lead"), ("readout", "reference_resistance")):
-        derivative = getattr(found, key)
-        value = np.broadcast_to(getattr(getattr(design, section), key), derivative.shape[-1])
-        above, below = (
-            design.replace(**{section: {key: float(each[0]) if one and section == "readout" else tuple(each)}})
-            for each in (value * (1 + h), value * (1 - h))
-        )
-        slope = (scan(above, cells).volts - scan(below, cells).volts) / (2 * h)
-        np.testing.assert_allclose(slope, (derivative * value).sum(axis=-1), rtol=1e-4, atol=1e-9)
 
 
 @pytest.mark.parametrize("rows", ["ground", "pull", "float"])

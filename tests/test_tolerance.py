@@ -64,22 +64,23 @@ def test_stated_bounds_hold_for_unequal_parts_faults_and_every_circuit(seed: int
     assert np.isfinite(result.error_bound)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=100)
 @given(
     hnp.arrays(
         np.float64,
         hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=4),
         elements=st.one_of(st.just(inf), st.floats(0.0, 12.0).map(lambda decade: 10**decade)),
     ),
-    st.lists(st.floats(-9.0, 0.0), min_size=4, max_size=4),
+    st.lists(st.one_of(st.floats(-9.0, 0.0), st.floats(0.0, 6.0)), min_size=4, max_size=4),
     st.sampled_from([1.0, 1e3, 1e9, inf]),
 )
+@example(np.array([[1.0, 1.0], [inf, inf]]), [6.0] * 4, inf)  # an open row beside lines too heavy for a bound
 def test_line_attenuation_keeps_its_bound_on_lines_of_any_weight(
-    cells: np.ndarray, lighter: list[float], gain: float
+    cells: np.ndarray, weights: list[float], gain: float
 ) -> None:
-    """From nothing up to the lightest cell, each kind of wire of its own."""
+    """From nothing up to a million times the lightest cell, each kind of wire of its own."""
     names = ("row_lead", "row_segment", "column_lead", "column_segment")
-    wires = {name: float(min(cells.min(), 1e12) * 10**decade) for name, decade in zip(names, lighter, strict=True)}
+    wires = {name: float(min(cells.min(), 1e12) * 10**decade) for name, decade in zip(names, weights, strict=True)}
     base = amplifier(*cells.shape, open_loop_gain=gain)
     design = base.replace(array=wires)
     result = scan(design, cells, method="attenuation")
@@ -214,9 +215,6 @@ def test_requests_that_make_no_sense_are_refused() -> None:
 # Line attenuation: certified on anything, tight on ordinary arrays
 
 
-EXACT = 1e-11  # relative error of the exact method, tests/test_laws.py
-
-
 def uniform(shape: tuple[int, int], segment: float, lead: float) -> Lines:
     row, column = np.full(shape, 1 / segment), np.full(shape, 1 / segment)
     row[:, 0] = 1 / lead
@@ -225,27 +223,6 @@ def uniform(shape: tuple[int, int], segment: float, lead: float) -> Lines:
 
 def ordinary(size: int, seed: int = 0) -> np.ndarray:
     return 10 ** -np.random.default_rng(seed).uniform(4, 6, (size, size))
-
-
-OHMS = st.one_of(st.sampled_from([1e-6, 1.0, 1e6]), st.floats(1e-6, 1e6))
-CELLS = st.one_of(st.just(0.0), st.floats(-12.0, 0.0).map(lambda decade: 10**decade))
-
-
-@settings(deadline=None, max_examples=150)
-@given(
-    hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=6), elements=CELLS),
-    OHMS,
-    OHMS,
-    OHMS,
-)
-@example(np.array([[1.0, 1.0], [0.0, 0.0]]), 1e6, 1e6, 1e6)  # an open row beside lines too heavy for a bound
-def test_the_certificate_holds_on_anything(cells: np.ndarray, row: float, column: float, lead: float) -> None:
-    lines = Lines(np.full(cells.shape, 1 / row), np.full(cells.shape, 1 / column), np.full(cells.shape[1], 1 / lead))
-    lines.row[:, 0] = 1 / lead
-    exact = exact_transfer(cells, lines)[0]
-    known = attenuate(cells, Wires.of(lines))
-    if known is not None:
-        assert (np.abs(exact - known.transfer) <= known.error + EXACT * exact).all()
 
 
 @pytest.mark.parametrize(("size", "segment"), [*product([4, 16, 64], [0.1, 10.0]), (128, 1.0)])

@@ -34,7 +34,9 @@ from ._filter import Candidates, Estimates, Pools, Reading, Watch
 from ._frames import (
     AWAKE,
     BEGUN,
+    BELIEVES,
     FORGET_EVERY_S,
+    LIKE,
     READ,
     Clock,
     Settings,
@@ -44,6 +46,7 @@ from ._frames import (
 )
 from ._inversion import UNKNOWN, Inversion
 from ._modes import TUNING, Material, Step, Tuning, discretise
+from ._neighbours import beside_in
 from ._scale import Scale
 
 SETTLED = 0.01
@@ -71,8 +74,12 @@ class Estimator:
         rest_resistance_ohm: FloatArray,
         scale: Records[Scale],
         conditions: Conditions,
+        beside: IntArray | None = None,
     ) -> None:
-        """``rest_resistance_ohm`` (n,) holds R0 of each cell of ``shape``, ``scale`` turns their readings into r."""
+        """``rest_resistance_ohm`` (n,) holds R0 of each cell of ``shape``, ``scale`` turns their readings into r.
+
+        ``beside`` is that of :meth:`ohmskin.cell.Cell.estimator`.
+        """
         self.shape, self.inversion = shape, inversion
         self._rest_ohm, self._scale, self._conditions = rest_resistance_ohm, scale, conditions
         count = rest_resistance_ohm.size
@@ -80,8 +87,9 @@ class Estimator:
         follows_load = material is not None
         tuning = TUNING
         if material is None:
-            # What a cell without memory reads is over when it is over.
-            bad_hz, drift = (TUNING.bad_hz, TUNING.drift) if inversion.remembers else (0.0, 0.0)
+            # What a cell without memory reads is over when it is over; bad contacts of the others look like loads.
+            bad_hz = TUNING.bad_hz if inversion.remembers or inversion.side > 0.0 else 0.0
+            drift = TUNING.drift if inversion.remembers else 0.0
             none = {"memory": 0.0, "floor": 0.0, "relative": 0.0, "extrapolated": 0.0, "scarce": math.inf}
             tuning = replace(TUNING, **none, drift=drift, overload=READINGS_OVERLOAD, bad_hz=bad_hz)
             material = Material.without_memory()
@@ -93,6 +101,7 @@ class Estimator:
             *(inversion.remembers, inversion.filtered, follows_load, material.geq, material.gu, material.g3),
             *(full, UNKNOWN * full, 0.0 if follows_load else TUNING.floor * full),
             *(conditions.model_std_kpa, conditions.rest_error, self.states_std, 0.0),
+            *(TUNING.alone, TUNING.sudden, TUNING.uneven),
         )
         self._steps = ByStep(_one_step, (material, tuning))
         self._cells, self._befores = zeros(Estimates, count), zeros(Estimates, count)
@@ -110,14 +119,18 @@ class Estimator:
         """(2, n) what is remembered of readings"""
         self._sleeps = np.full(count, 0.0 if inversion.exact else 1.0)
         """(n,) 1 where the memory of the inversion is that of rest"""
-        self._shown = np.full((2, count), np.nan)
-        """(2, n) the last pressures in kPa, and their standard deviations"""
+        self._shown = np.full((3, count), np.nan)
+        """(3, n) last pressures in kPa, their standard deviations, and whether cells that are not believed were like
+        those beside"""
+        self._shown[LIKE] = BELIEVES
+        neighbours = beside_in(shape) if beside is None else np.ascontiguousarray(beside, dtype=np.intp)
+        self._around = neighbours, np.zeros((3, count))
         self._readings = zeros(Reading, count)
         self._state = (
             *(self._cells, self._befores, self._watches),
             *(zeros(Candidates, 1), zeros(Pools, 1), zeros(Estimates, 1)),
             *(self._settings, scale, self._clock, rest_resistance_ohm, self._sleeps, self._columns),
-            *(self._seen, self._readings, self._states, conditions.rest_slope_kpa, self._shown),
+            *(self._seen, self._readings, self._states, conditions.rest_slope_kpa, self._shown, *self._around),
         )
         """what the kernel of frames takes before the frames themselves"""
         self._one, self._begun = self._scratch(1), False
@@ -135,7 +148,8 @@ class Estimator:
                 current: no load, on a cell that is open at rest; else it is missing, as of one that is not connected.
 
         Returns:
-            (shape) pressure in kPa. A cell whose reading is missing keeps its last value; NaN before its first reading.
+            (shape) pressure in kPa; NaN before a cell's first reading. A cell whose reading is missing keeps its last
+            value, unless the cells beside it tell of another one.
 
         Raises:
             InputError: another shape, or a time step that is not a positive number of seconds.
@@ -288,7 +302,8 @@ class Estimator:
             self._spread(answers, (status & READ == 0).ravel().nonzero()[0], level_variance.ravel())
         slopes = self._conditions.rest_slope_kpa
         show_frames.unchecked(
-            *(status, level, level_variance, answers, states, self._settings, slopes, self._shown, pressure, std)
+            *(status, level, level_variance, answers, states, self._settings, slopes, self._shown),
+            *(*self._around, pressure, std),
         )
 
     def _spread(self, answers: Records[CellState], unread: IntArray, level_variance: FloatArray) -> None:

@@ -21,7 +21,7 @@ import math
 from typing import Annotated
 
 from ...common.arrays import FloatArray
-from ...common.compiled import Record, Records, Row, loop
+from ...common.compiled import PlaceRows, Record, Records, Row, Rows, loop
 from ._modes import (
     DOWN,
     EACH,
@@ -33,6 +33,7 @@ from ._modes import (
     TWICE,
     Step,
 )
+from ._neighbours import BELIEVED, LOAD, VARIANCE, agreement, prior
 
 
 class Estimates(Record):
@@ -604,6 +605,8 @@ class Reading(Record):
     load: float
     """mean, and its variance"""
     load_variance: float
+    believed: float
+    """0: it seems to be of a bad contact, and the load is that of before"""
 
 
 class Watch(Record):
@@ -720,6 +723,10 @@ def step_each(
     steps: Records[Step],
     readings: Records[Reading],
     sleeps: Row,
+    beside: PlaceRows,
+    told: Rows,
+    uneven: float,
+    sudden: float,
     forget: float,
 ) -> None:
     """Take a frame of n cells; writes loads.
@@ -734,6 +741,10 @@ def step_each(
         steps: (1,) weights of the time step.
         readings: (n,)
         sleeps: (n,) 1 where a cell may sleep.
+        beside: (n, most) cells beside each; n: none.
+        told: (3, n) scratch: loads that readings tell, for :mod:`._neighbours`.
+        uneven: see :class:`~._modes.Tuning`, as ``sudden``.
+        sudden: see ``uneven``.
         forget: share of the evidence for modes that is kept.
 
     """
@@ -741,29 +752,40 @@ def step_each(
     for i in range(cells.size):
         reading = readings[i]
         known, width, var = reading.known > 0.0, reading.high - reading.low, reading.variance
+        told[LOAD, i], told[VARIANCE, i], told[BELIEVED, i] = 0.0, 0.0, max(reading.known, 0.0)
         if reading.known < 0.0:
             continue
         e, before, watch = cells[i], befores[i], watches[i]
         if watch.asleep > 0.0:
             if known and rests(watch, t, reading.low, reading.high, var):
-                reading.load = 0.0
-                reading.load_variance = t.floor * t.floor + (var + width * width * (1.0 / 12.0)) / (t.gain * t.gain)
+                told[VARIANCE, i] = (var + width * width * (1.0 / 12.0)) / (t.gain * t.gain)
                 continue
             watch.asleep, e.r[REST], e.x3[REST] = 0.0, watch.left, watch.left_x3
         low, high = reading.low - watch.offset, reading.high - watch.offset
         follow(e, before, watch, c, p, trial[0], t, known, low, high, var, forget)
         mean = mean_of(e)
-        spread = variance_of(e, mean, t)
-        if watch.since_s > 0.0:
-            bad = 1.0 / (1.0 + math.exp(-watch.odds))
-            bad = bad * bad / (bad + TAIL)
-            other = mean_of(before)
-            off = other - mean
-            spread += bad * (variance_of(before, other, t) - spread) + bad * (1.0 - bad) * off * off
-            if watch.odds > 0.0:
-                mean = other
-        elif sleeps[i] > 0.0 and forget < 1.0 and known and settled(e, var, width):
+        told[LOAD, i], told[VARIANCE, i] = mean, variance_of(e, mean, t)
+        if watch.since_s == 0.0 and sleeps[i] > 0.0 and forget < 1.0 and known and settled(e, var, width):
             watch.asleep, watch.left, watch.left_x3, watch.cusum = 1.0, e.r[REST], e.x3[REST], 0.0
+    for i in range(cells.size):
+        watch, reading = watches[i], readings[i]
+        if reading.known < 0.0:
+            continue
+        mean, spread, reading.believed = told[LOAD, i], told[VARIANCE, i], 1.0
+        if watch.since_s > 0.0:
+            other = mean_of(befores[i])
+            other_spread, odds = variance_of(befores[i], other, t), watch.odds
+            usual, about = prior(i, beside, told, uneven)
+            if about >= 0.0:
+                odds += math.log(
+                    agreement(other, other_spread, usual, about, sudden) / agreement(mean, spread, usual, about, sudden)
+                )
+            bad = 1.0 / (1.0 + math.exp(-odds))
+            bad = bad * bad / (bad + TAIL)
+            off = other - mean
+            spread += bad * (other_spread - spread) + bad * (1.0 - bad) * off * off
+            if odds > 0.0:
+                mean, reading.believed = other, 0.0
         beyond = max(mean - 1.0, 0.0) * t.extrapolated
         reading.load = mean
         reading.load_variance = spread + t.floor * t.floor + t.relative * t.relative * mean * mean + beyond * beyond

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ...common.compiled import Blocks, Places, Reasons, Record, Records, Row, Rows, loop
+from ...common.compiled import Blocks, PlaceRows, Places, Reasons, Record, Records, Row, Rows, loop
 from ...common.measurement import (
     COLUMN_HALF_STEP,
     COLUMN_STD,
@@ -23,6 +23,7 @@ from .._state import CellState
 from ._columns import share_each
 from ._filter import Candidates, Estimates, Pools, Reading, Watch, begin, step_each
 from ._modes import Step
+from ._neighbours import BELIEVED, LOAD, VARIANCE, alike, fuse, prior
 from ._scale import Scale, scaled
 
 FORGET_EVERY_S = 0.05
@@ -33,8 +34,8 @@ FAR = 1e9
 """r of a bound that is none"""
 BELOW_STD = 3.0
 """standard deviations of the noise below zero, from which a reading is in error"""
-READ, AWAKE, ASLEEP, BEGUN = 1, 2, 4, 8
-"""flags of a cell in a frame: it was read; it was, and not only watched; it sleeps now; it began"""
+READ, AWAKE, ASLEEP, BEGUN, DOUBTED = 1, 2, 4, 8, 16
+"""flags of a cell in a frame: it was read; and not only watched; it sleeps now; it began; its contact seems bad"""
 
 
 class Settings(Record):
@@ -70,6 +71,10 @@ class Settings(Record):
     states_std: float
     lasting: float
     """1: the measurement says which errors no average lessens; they are stated with the load"""
+    alone: float
+    """see :class:`._modes.Tuning`"""
+    sudden: float
+    uneven: float
 
 
 class Clock(Record):
@@ -80,6 +85,9 @@ class Clock(Record):
     since_forgot_s: float
 
 
+LIKE, BELIEVES, LOST = 2, -1.0, -2.0
+"""row of what is shown: the probability that the load was one that the neighbours tell; or that the cell is believed,
+or has just been lost"""
 WAS_READ, WAS_KNOWN = 0, 1
 """rows of what is remembered of readings: 1 where a cell has ever been read, and where it was in the last frame"""
 
@@ -177,6 +185,8 @@ def take_frames(
     states: Records[CellState],
     slopes: Row,
     shown: Rows,
+    beside: PlaceRows,
+    told: Rows,
     steps: Records[Step],
     which: Places,
     blocks: Blocks,
@@ -204,8 +214,10 @@ def take_frames(
         seen: (2, n) what is remembered of readings.
         readings: (n,) written: the readings of the last frame.
         states: (n,) what the inversion says of the cells.
-        slopes: (m,) see :func:`show_frames`, as ``shown``.
-        shown: (2, n)
+        slopes: (m,) see :func:`show_frames`, as ``shown``, ``beside`` and ``told``.
+        shown: see ``slopes``.
+        beside: see ``slopes``.
+        told: see ``slopes``.
         steps: (k,) weights of time steps.
         which: (frames,) number of the step of each frame.
         blocks: (frames, fields, n) measurements.
@@ -251,7 +263,10 @@ def take_frames(
         if clock.since_forgot_s >= FORGET_EVERY_S:
             forget = math.exp(-clock.since_forgot_s / t.forget_s)
             clock.since_forgot_s = 0.0
-        step_each(cells, befores, watches, candidates, pools, trial, step, readings, sleeps, forget)
+        step_each(
+            *(cells, befores, watches, candidates, pools, trial, step, readings, sleeps),
+            *(beside, told, settings.uneven, settings.sudden, forget),
+        )
         for i in range(rest_ohm.size):
             slept, sleeping = status[frame, i] & ASLEEP, watches[i].asleep > 0.0
             if status[frame, i] & READ and not (slept and sleeping):
@@ -262,6 +277,8 @@ def take_frames(
                 status[frame, i] |= ASLEEP
             level[frame, i], level_variance[frame, i] = 0.0, 0.0
             reading = readings[i]
+            if reading.believed == 0.0:
+                status[frame, i] |= DOUBTED
             if reading.known >= 0.0:
                 level[frame, i], level_variance[frame, i] = reading.load * settings.unit, reading.load_variance
                 if settings.lasting > 0.0 and reading.slope != 0.0:
@@ -269,7 +286,10 @@ def take_frames(
                     lasting = STEP_STD * STEP_STD * (half * half + held * held) + reading.lasting
                     level_variance[frame, i] += lasting / (settings.geq * settings.geq)
     if settings.follows > 0.0:
-        show_frames(status, level, level_variance, states, states, all_settings, slopes, shown, pressure, std)
+        show_frames(
+            *(status, level, level_variance, states, states, all_settings, slopes, shown),
+            *(beside, told, pressure, std),
+        )
 
 
 @loop
@@ -282,6 +302,8 @@ def show_frames(
     all_settings: Records[Settings],
     slopes: Row,
     shown: Rows,
+    beside: PlaceRows,
+    told: Rows,
     pressure: Rows,
     std: Rows,
 ) -> None:
@@ -295,7 +317,10 @@ def show_frames(
         states: (n,) the last answer for each cell, renewed.
         all_settings: (1,)
         slopes: (m,) kPa per relative error of R0, at pressures spaced evenly from 0 to full scale.
-        shown: (2, n) the last pressures and deviations, renewed.
+        shown: (3, n) the last pressures and deviations, and for cells that are not believed the probability that their
+            loads were like those beside when they last were; renewed.
+        beside: (n, most) cells beside each; n: none.
+        told: (3, n) scratch.
         pressure: written.
         std: written.
 
@@ -303,6 +328,13 @@ def show_frames(
     settings, cells = all_settings[0], states.size
     full = settings.full_kpa
     for frame in range(status.shape[0]):
+        if lose(status, frame, shown, told):
+            for i in range(cells):
+                if shown[LIKE, i] == LOST:
+                    usual, about = prior(i, beside, told, settings.uneven)
+                    own, own_var = shown[0, i], shown[1, i] * shown[1, i]
+                    shown[LIKE, i] = alike(own, own_var, usual, about, full, settings.alone)
+        missing = False
         for i in range(cells):
             flags, state = status[frame, i], states[i]
             if flags & AWAKE:
@@ -327,11 +359,36 @@ def show_frames(
             if settings.states_std == 0.0:
                 var = math.nan
             if not flags & READ:  # the last pressure is kept; what the filter thinks of it since counts as doubt
-                last = shown[0, i]
-                var = math.nan if math.isnan(last) else var + (kpa - last) * (kpa - last)
-                kpa = last
+                off = min(abs(state.gain_kpa * (level[frame, i] - state.level)), settings.unknown_kpa)
+                kpa = shown[0, i]
+                var = math.nan if math.isnan(kpa) else var + off * off
+            believed = shown[LIKE, i] == BELIEVES
+            told[LOAD, i], told[VARIANCE, i], told[BELIEVED, i] = kpa, var, 1.0 if believed else 0.0
+            missing = missing or not believed
             shown[0, i], shown[1, i] = kpa, math.sqrt(var)
             pressure[frame, i], std[frame, i] = kpa, shown[1, i]
+        if missing:
+            for i in range(cells):
+                if shown[LIKE, i] != BELIEVES:
+                    usual, about = prior(i, beside, told, settings.uneven)
+                    if about >= 0.0 and not math.isnan(told[LOAD, i]):
+                        kpa, var = fuse(told[LOAD, i], told[VARIANCE, i], usual, about, shown[LIKE, i])
+                        shown[1, i] = math.sqrt(var)
+                        pressure[frame, i], std[frame, i] = kpa, shown[1, i]
+
+
+@loop
+def lose(status: Reasons, frame: int, shown: Rows, told: Rows) -> bool:
+    """Mark cells that are not believed any more, and tell what they and the others showed; returns if there are any."""
+    lost = False
+    for i in range(status.shape[1]):
+        told[LOAD, i], told[VARIANCE, i] = shown[0, i], shown[1, i] * shown[1, i]
+        told[BELIEVED, i] = 1.0 if shown[LIKE, i] == BELIEVES and not math.isnan(shown[0, i]) else 0.0
+        if status[frame, i] & READ and not status[frame, i] & DOUBTED:
+            shown[LIKE, i] = BELIEVES
+        elif shown[LIKE, i] == BELIEVES:
+            shown[LIKE, i], lost = LOST, True
+    return lost
 
 
 @loop

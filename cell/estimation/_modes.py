@@ -94,6 +94,12 @@ class Tuning:
     bad_hz: float = 0.02
     """1/s, bad contacts of a cell; and s, for which they last"""
     bad_s: float = 0.06
+    alone: float = 0.1
+    """share of the contacts that cover a single cell"""
+    sudden: float = 0.005
+    """share of the jumps within a frame among untouched cells that are presses of a single cell"""
+    uneven: float = 1.0
+    """standard deviation of a cell's load about the mean of its neighbours, over that mean"""
     overload: float = 1.3
     """FS, heaviest usual load; and FS, in which loads beyond full scale become rarer by a factor of e"""
     scarce: float = 0.1

@@ -10,7 +10,7 @@
 =====================  =================================================================
 """
 
-from ._cards import DIODES, GROUND, OPAMP, Card, parse_cards
+from ._cards import DIODES, GROUND, OPAMP, Card, Statement, parse_cards, statements
 from ._equations import CELL, LINE, OUT, ROW, Equations, PortLaw, float_of, port_law
 from ._line_ends import OPEN_OHM, REF, Columns, LineEnds, Network, Rows, amplifier, is_bent
 from ._nodal import MOST_SIEMENS, Solution, System, alone, inverted_nodes, solve, step_system
@@ -42,6 +42,7 @@ __all__ = [
     "Rows",
     "Scan",
     "Solution",
+    "Statement",
     "System",
     "alone",
     "amplifier",
@@ -53,5 +54,6 @@ __all__ = [
     "port_law",
     "solve",
     "spice_cards",
+    "statements",
     "step_system",
 ]

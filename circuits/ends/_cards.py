@@ -23,10 +23,11 @@ Values are SPICE's: 10k, 3.3meg, 100n; letters behind them are units. ``M`` is m
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import inf, isfinite
 from pathlib import Path
+from typing import NamedTuple
 
 from ...common.files import read_text
 from ...common.text import one_line, shortened
@@ -64,6 +65,19 @@ _NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)(meg|[tgkmunpf])?
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,31}$", re.IGNORECASE)
 _NODE = re.compile(r"[a-z0-9_+\-.]{1,32}$", re.IGNORECASE)
 _DEEPEST = 8
+_DOS_END_OF_FILE = "\x1a"
+
+
+class Statement(NamedTuple):
+    """One statement of a netlist, its continuation lines joined and its comments removed."""
+
+    line: int
+    """number in the file, from 1"""
+    text: str
+
+    @property
+    def words(self) -> list[str]:
+        return self.text.lower().replace("=", " = ").split()
 
 
 @dataclass(frozen=True)
@@ -165,7 +179,7 @@ def _bodies(
     bodies: dict[str, tuple[tuple[str, ...], list[tuple[int, str]]]] = {}
     models: dict[str, dict[str, float]] = {}
     inside: list[tuple[int, str]] | None = None
-    for index, line in _joined(text):
+    for index, line in statements(text, path):
         words = line.lower().split()
         where = f"{path}: line {index}"
         if words[0] == ".subckt":
@@ -190,18 +204,25 @@ def _bodies(
     return bodies, models
 
 
-def _joined(text: str) -> Iterable[tuple[int, str]]:
-    """Numbered lines without comments, continuation lines (``+``) joined."""
-    whole: list[tuple[int, str]] = []
-    for index, raw in enumerate(text.splitlines(), start=1):
-        line = re.split(r"[;$]", raw, maxsplit=1)[0].strip()
-        if not line or line.startswith("*"):
+def statements(content: str, path: str) -> Iterator[Statement]:
+    """Statements with their continuation lines; comments are dropped, and commands in comments refused."""
+    start, parts = 0, []
+    for number, raw in enumerate(re.split(r"\r\n|\r|\n", content.replace(_DOS_END_OF_FILE, "\n")), 1):
+        line = raw.strip()
+        if line.startswith("*#"):
+            raise InputError(f"{path}: line {number}: '{shortened(one_line(line))}' is a command to ngspice")
+        line = re.split(r";|\s\$\s|//", line, maxsplit=1)[0].strip()
+        line = re.sub(r"^(\.ends\b[^*]*)\*.*", r"\1", line, flags=re.IGNORECASE)
+        if not line or line.startswith(("*", "$")):
             continue
-        if line.startswith("+") and whole:
-            whole[-1] = whole[-1][0], f"{whole[-1][1]} {line[1:]}"
-        else:
-            whole.append((index, line))
-    return whole
+        if line.startswith("+"):
+            parts.append(line[1:])
+            continue
+        if text := " ".join(" ".join(parts).split()):
+            yield Statement(start, text)
+        start, parts = number, [line]
+    if text := " ".join(" ".join(parts).split()):
+        yield Statement(start, text)
 
 
 def _expanded(
