@@ -536,10 +536,11 @@ class FitLive:
         end, as many again count.
         """
         swing, conductance = BY_STEPS / np.sqrt(roots / coarser**2 + WITHIN), linear.conductance
-        longest = np.argsort(swing * np.abs(axes).max(axis=0))[::-1][:_MOST_AXES]
+        ends = swing * axes * self._read[:, None]  # cells that are not read go through their own intervals
+        longest = np.argsort(np.abs(ends).max(axis=0))[::-1][:_MOST_AXES]
         squares, volts = np.zeros(len(roots)), None
         for axis in longest:
-            along = swing[axis] * axes[:, axis]
+            along = ends[:, axis]
             if not float(np.abs(along).max()) > _SWING:
                 break
             volts = self._at(conductance) if volts is None else volts
