@@ -83,6 +83,7 @@ _STUCK = 1e-9  # limit below which they have come to their end
 _MORE_DAMPING, _MOST_DAMPING = 10.0, 1e3  # times the damping until a step is short enough; most over the largest root
 _JUMP = 20.0  # half steps from which on closed formulas may be a nearer start
 _LEAST_READING = 0.03  # half steps: reading of the least conductance of cells behind a break
+_LEAST_BEHIND = 0.01  # resistance that a cell sees of its lines, over the reading's resistor
 _LEAST = 1e-18  # S: a cell's resistance has to be a number
 _AS_SHORT, _SHORT = 1e5, 1e6  # wires of a cell over its own resistance, and S, from which on it is as good as a short
 _TIE = 0.02  # cell over the reference resistor, below which it ties lines to each other
@@ -585,7 +586,8 @@ class FitLive:
     def _behind(self, conductance: FloatArray) -> FloatArray:
         """Ohm (n,) that each of the cells (n,) in S sees of its lines where nothing drives them.
 
-        A row that floats is held by the reading's resistor at most, so that a cell alone on it has a share, too.
+        A row that floats is held by the reading's resistor at most, so that a cell alone on it has a share, too. Lines
+        that shorts join show a cell next to nothing: shares by which readings hardly change are no unknowns.
         """
         board, cells = self._board, np.maximum(conductance.reshape(self._shape), 0.0)
         held = 1.0 / board.pull + 1.0 / board.reference.mean()
@@ -595,7 +597,7 @@ class FitLive:
         along = cells.sum(axis=1, keepdims=True) + np.reshape(held, (-1, 1))
         down = cells.sum(axis=0) + end
         behind: FloatArray = sum(1.0 / np.maximum(of_line - cells, TINY) for of_line in (along, down))
-        return behind.ravel()
+        return np.maximum(behind, _LEAST_BEHIND * board.reference.mean()).ravel()
 
     def _per_share(self, cells: FloatArray, behind: FloatArray) -> FloatArray:
         """S (N, M) of the crosspoints by the shares of their cells (N, M) in ohm."""
