@@ -83,7 +83,8 @@ _STUCK = 1e-9  # limit below which they have come to their end
 _MORE_DAMPING, _MOST_DAMPING = 10.0, 1e3  # times the damping until a step is short enough; most over the largest root
 _JUMP = 20.0  # half steps from which on closed formulas may be a nearer start
 _LEAST_READING = 0.03  # half steps: reading of the least conductance of cells behind a break
-_LEAST_BEHIND = 0.01  # resistance that a cell sees of its lines, over the reading's resistor
+_TIED = 0.5  # share from which on a cell may tie lines as a short does
+_LEAST_BEHIND = 0.0001  # resistance that a cell sees of its lines, over the reading's resistor
 _LEAST = 1e-18  # S: a cell's resistance has to be a number
 _AS_SHORT, _SHORT = 1e5, 1e6  # wires of a cell over its own resistance, and S, from which on it is as good as a short
 _TIE = 0.02  # cell over the reference resistor, below which it ties lines to each other
@@ -516,7 +517,8 @@ class FitLive:
 
         def beyond_at(coarser: float) -> FloatArray:
             beyond = self._beyond_linear(made, jacobian, roots, axes, coarser)
-            tied = share + BY_STEPS * std_at(coarser) + beyond >= 1.0
+            # A cell between lines that others join may be as large, but ties nothing that is not tied.
+            tied = (share > _TIED) & (share + BY_STEPS * std_at(coarser) + beyond >= 1.0)
             return np.maximum(beyond, self._beside_tied(made, tied & self._present & (self._read > 0.0), coarser))
 
         amplified = inf
