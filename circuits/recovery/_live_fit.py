@@ -91,7 +91,7 @@ _TIE = 0.02  # cell over the reference resistor, below which it ties lines to ea
 _NO_CELLS = "no cell resistances give these readings; check that the design is that of the board"
 _MOST_UNREAD, _MOST_TIED = 3, 8  # cells whose intervals are gone through, by all corners and by the outermost ones
 _PATH = 4  # points on the way of a cell of unknown size to a short
-_BESIDE_STEPS, _BESIDE_STEP = 10, 0.003  # steps to the others beside it, and change of a share in the last one
+_BESIDE_STEPS, _BESIDE_STEP = 10, 0.01  # steps to the others beside it, and relative change of shares in the last one
 _BESIDE_SLOW = 0.5  # of a step's length over the one before, above which derivatives are made anew
 _SWING = 0.07  # of a share, up to which derivatives hold
 _MOST_AXES = 6  # of the covariance along which the model is asked
@@ -335,8 +335,10 @@ class FitLive:
             share = first + (last - first) * np.array(part)
             held = np.minimum(share / (1.0 - share) / begun_by.behind[cells], self._most.ravel()[cells])
             there, linear = (there, linear) if on_path else (conductance, begun_by)
-            there, before, step, anew = there.copy(), inf, begun, False
+            there, before, step, anew = there.copy(), inf, begun, on_path and part[0] == 1.0
             there[cells] = held
+            if anew:  # derivatives beside an open cell may tell nothing of those beside a short
+                linear = self._renewed(there, coarser)
             for _ in range(_BESIDE_STEPS):
                 step = linear.solve((volts - self._at(there)) * self._read, inf)
                 length = float(np.abs(step).max())
@@ -345,7 +347,7 @@ class FitLive:
                     continue
                 there, before = linear.moved(there, step, coarser, self._most), length
                 there[cells] = held
-                if length < _BESIDE_STEP:
+                if (np.abs(step) <= np.maximum(SETTLED * std, _BESIDE_STEP * np.abs(begun))).all():
                     break
             else:  # some are hardly determined, or this is beyond what the readings allow
                 step *= _BESIDE_STEPS
