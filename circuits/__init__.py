@@ -18,7 +18,7 @@ from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements,
 from ._sensitivity import Sensitivity, sensitivity
 from ._shape import Shape
 from ._spread import Spread
-from .ends import ColumnEnd, Event, Reference, RowEnd, Scan
+from .ends import ColumnEnd, Event, LineEnds, Reference, RowEnd, Scan
 from .readouts import CIRCUITS as _CIRCUITS
 from .recovery import (
     Conditioning,
@@ -68,6 +68,7 @@ __all__ = [
     "Event",
     "EventScan",
     "Fault",
+    "LineEnds",
     "LiveRecovery",
     "Noise",
     "OperatingPoint",

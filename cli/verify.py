@@ -105,6 +105,7 @@ def command(
     folder = make_folder(output)
     check_writable(folder / "report.html", folder / "report.json", *([export] if export else []))
     click.get_current_context().with_resource(extra_output())  # the report is what counts
+    files = design_file, cell_file, requirement_files
     own = (design.requirement if design is not None else ()) if requirements else ()
     with dask_executor(jobs, dask) as executor, progress_bar("verifying") as progress:
         report = verify(
@@ -125,13 +126,14 @@ def command(
             store=user_cache("verify"),
             folder=None if design_file is None else Path(design_file).parent,
             require_all=require_all,
-            command=_command(design_file, cell_file, requirement_files, paper, seed, samples),
+            command=_command("verify", *files, *["--paper"] * paper, "--seed", f"{seed}", "--samples", f"{samples}"),
             progress=progress,
             allow_code=True if allow_code else _asked,
             announce=lambda said: click.echo(printable(said)),
             tell=_say_result,
         )
-    report = replace(report, explore_command=_explore_command(design_file, cell_file, requirement_files))
+    if design_file is not None:
+        report = replace(report, explore_command=_command("explore", *files))
     if old is not None:
         report = report.against(old)
     paths, missing = report.write(folder)
@@ -185,21 +187,11 @@ def _say_the_rest(report: Report) -> None:
             )
 
 
-def _command(
-    design: str | None, cell: str | None, requirements: tuple[str, ...], paper: bool, seed: int, samples: int
-) -> str:
-    parts = ["ohmskin verify", design or "", f"--cell {cell}" if cell else ""]
-    parts += [f"--requirements {file}" for file in requirements]
-    parts += ["--paper" if paper else "", f"--seed {seed} --samples {samples}"]
-    return " ".join(part for part in parts if part)
-
-
-def _explore_command(design: str | None, cell: str | None, requirements: tuple[str, ...]) -> str:
-    if design is None:
-        return ""
-    options = [f"--cell {shlex.quote(cell)}"] if cell else []
-    options += [f"--requirements {shlex.quote(file)}" for file in requirements]
-    return " ".join(["ohmskin explore", shlex.quote(design), *options])
+def _command(name: str, design: str | None, cell: str | None, requirements: tuple[str, ...], *options: str) -> str:
+    """A command about the same design, to type."""
+    words = ["ohmskin", name, *([design] if design else []), *(["--cell", cell] if cell else [])]
+    words += [word for file in requirements for word in ("--requirements", file)]
+    return shlex.join([*words, *options])
 
 
 def _catalogue() -> str:

@@ -43,8 +43,9 @@ OVER_S = 1.0
 """for how long a host behind a line that loses packets is informed that no frame follows, a hundred times at most"""
 MOST_BEHIND_S = 0.5
 """real clock: how late a board may be before its time is let go"""
-DRAIN_S = 5.0
-"""at the end: how long to wait for a host that has stopped reading"""
+DRAIN_S = 60.0
+"""at the end: how long to wait for a host that has stopped reading; a driver that loses nothing reads again when half
+of its 256 frames are converted, for which plain Python on a busy machine takes half a minute"""
 LONGEST_WAIT_S = 0.1
 """how often to look in any case: for a second host to turn away"""
 TICKS_AT_ONCE = 64

@@ -187,13 +187,13 @@ class Flow(MemoryPort):
 
     name = "flow"
 
-    def __init__(self, introduction: bytes, packet: Callable[[int], bytes], period_s: float, *, at_once: int) -> None:
+    def __init__(self, handshake: bytes, packet: Callable[[int], bytes], period_s: float, *, at_once: int) -> None:
         """``packet(k)`` is frame k. A read brings at most ``at_once`` bytes, as of a terminal."""
         super().__init__()
         self.time_s = 0.0
         self.deaf = False
         """the reader thread is not woken any more"""
-        self._waiting = bytearray(introduction)
+        self._waiting = bytearray(handshake)
         self._packet, self._period_s, self._at_once = packet, period_s, at_once
         self._sent = 0.0
         """frames sent so far, and the part of the next one"""

@@ -112,5 +112,5 @@ def quick_verification(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def presses_at_full_rate(quick_verification: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """At 10 frames per second the edge of a press is a jump, which counts as a spark until the next frame."""
+    """At 10 frames per second the edge of a press is a jump, which counts as a bad contact until the next frame."""
     monkeypatch.setattr(_pressures, "FASTEST_HZ", _FASTEST_HZ)

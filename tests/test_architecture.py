@@ -1,4 +1,4 @@
-"""The rooms know only those below them (docs/design.md)."""
+"""The packages know only those below them (docs/design.md)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MAY_IMPORT = {
     "view": SHARED | {"circuits", "driver"},
     "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver"},
 }
-ROOMS = [*MAY_IMPORT, "errors", "cli"]
+PACKAGES = [*MAY_IMPORT, "errors", "cli"]
 
 CELL_MAY_IMPORT = {
     "_state": set(),
@@ -41,11 +41,11 @@ CELL_MAY_IMPORT = {
     "_cell": {"materials", "estimation", "inversions"},
     "identification": {"materials", "estimation", "inversions", "_cell"},
 }
-"""The parts of the room cell: the state of a cell, three sub-packages, CELL.toml, and the sub-package above it."""
+"""The parts of the package cell: the state of a cell, three sub-packages, CELL.toml, and the sub-package above it."""
 
 
 def _place(file: Path) -> tuple[str, ...]:
-    """Folders and name of a module below the package, whose root is src/ohmskin and the rooms beside it."""
+    """Folders and name of a module below the package, whose root is src/ohmskin and the packages beside it."""
     top = ROOT / "src/ohmskin"
     return file.relative_to(top if file.is_relative_to(top) else ROOT).parts
 
@@ -65,16 +65,16 @@ def _imports(file: Path) -> frozenset[str]:
     return frozenset(found)
 
 
-@pytest.mark.parametrize("room", MAY_IMPORT)
-def test_a_room_imports_only_what_is_below_it(room: str) -> None:
-    files = sorted((ROOT / room).rglob("*.py"))
+@pytest.mark.parametrize("package", MAY_IMPORT)
+def test_a_package_imports_only_what_is_below_it(package: str) -> None:
+    files = sorted((ROOT / package).rglob("*.py"))
     assert files
     for file in files:
         imports = _imports(file)
         bare = {name.split(".")[0] for name in imports} & MAY_IMPORT.keys()
         assert not bare, f"{file.relative_to(ROOT)} imports {bare} without the package name ohmskin"
         inner = {name.split(".")[1] for name in imports if name.startswith("ohmskin.")}
-        forbidden = inner - MAY_IMPORT[room] - {room, "__version__"}
+        forbidden = inner - MAY_IMPORT[package] - {package, "__version__"}
         assert not forbidden, f"{file.relative_to(ROOT)} imports {forbidden}"
 
 
@@ -98,24 +98,24 @@ def test_a_part_of_the_cell_imports_only_what_is_below_it(part: str) -> None:
         assert not forbidden, f"{file.relative_to(ROOT)} imports {forbidden}"
 
 
-def test_modules_import_the_faces_of_sub_packages() -> None:
-    faces = 0
-    for room in MAY_IMPORT:
-        folders = {face.parent for face in (ROOT / room).glob("*/__init__.py")}
-        for file in (ROOT / room).rglob("*.py"):
+def test_modules_import_the_interfaces_of_sub_packages() -> None:
+    interfaces = 0
+    for package in MAY_IMPORT:
+        folders = {interface.parent for interface in (ROOT / package).glob("*/__init__.py")}
+        for file in (ROOT / package).rglob("*.py"):
             for folder in folders - {file.parent}:
                 stem = ".".join(["ohmskin", *_place(folder), "_"])
                 hidden = {name for name in _imports(file) if name.startswith(stem)}
                 assert not hidden, f"{file.relative_to(ROOT)} imports {hidden}"
-        faces += len(folders)
-    assert faces > 9
+        interfaces += len(folders)
+    assert interfaces > 9
 
 
 def test_only_one_module_imports_pyspice() -> None:
     """PySpice is under the GPL."""
     users = {
         str(file.relative_to(ROOT))
-        for folder in [*ROOMS, "examples"]
+        for folder in [*PACKAGES, "examples"]
         for file in (ROOT / folder).rglob("*.py")
         if any(name.split(".")[0] == "PySpice" for name in _imports(file))
     }
@@ -130,7 +130,7 @@ OPENS_FILES = ("load", "loadtxt", "genfromtxt", "fromfile", "DataSource")
 
 def test_arrays_of_files_are_read_in_one_module() -> None:
     """Which holds them against a schema, and sizes them first."""
-    for file in (file for room in ROOMS for file in (ROOT / room).rglob("*.py")):
+    for file in (file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):
         here = str(file.relative_to(ROOT))
         for name in {name.split(".")[0] for name in _imports(file)} & READS_ARRAYS.keys():
             assert here == READS_ARRAYS[name], f"{here} imports {name}"
@@ -151,9 +151,9 @@ def test_only_the_table_of_circuits_knows_their_names() -> None:
 
 
 def _modules() -> dict[str, Path]:
-    """Every module of the package by its name; a face by the name of its folder."""
+    """Every module of the package by its name; an interface by the name of its folder."""
     top = ROOT / "src/ohmskin"
-    files = [*top.glob("*.py"), *(file for room in ROOMS for file in (ROOT / room).rglob("*.py"))]
+    files = [*top.glob("*.py"), *(file for package in PACKAGES for file in (ROOT / package).rglob("*.py"))]
     return {".".join(["ohmskin", *_place(file)]).removesuffix(".py").removesuffix(".__init__"): file for file in files}
 
 
@@ -176,18 +176,18 @@ def test_no_module_imports_itself_by_way_of_others() -> None:
 HEAVY = ["scipy", "numba", "matplotlib", "pandas", "asyncio", "websockets", "mcap", "ohmskin.cell.identification"]
 
 
-@pytest.mark.parametrize(("room", "heavy"), [("driver", HEAVY), ("cell", ["scipy", "numba", "matplotlib"])])
-def test_rooms_start_without_packages_that_take_long_to_load(room: str, heavy: list[str]) -> None:
-    program = f"import sys, ohmskin.{room}; print([name for name in {heavy} if name in sys.modules])"
+@pytest.mark.parametrize(("package", "heavy"), [("driver", HEAVY), ("cell", ["scipy", "numba", "matplotlib"])])
+def test_packages_start_without_others_that_take_long_to_load(package: str, heavy: list[str]) -> None:
+    program = f"import sys, ohmskin.{package}; print([name for name in {heavy} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=HANG_S)
     assert done.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("room", [*MAY_IMPORT, "cli"])
-def test_other_rooms_import_from_the_face_only(room: str) -> None:
-    for file in sorted((ROOT / room).rglob("*.py")):
+@pytest.mark.parametrize("package", [*MAY_IMPORT, "cli"])
+def test_other_packages_import_from_the_public_interface_only(package: str) -> None:
+    for file in sorted((ROOT / package).rglob("*.py")):
         for name in _imports(file):
             parts = name.split(".")
-            if parts[0] == "ohmskin" and len(parts) > 2 and parts[1] in MAY_IMPORT and parts[1] != room:
+            if parts[0] == "ohmskin" and len(parts) > 2 and parts[1] in MAY_IMPORT and parts[1] != package:
                 hidden = [part for part in parts[2:] if part.startswith("_") and not part.startswith("__")]
                 assert not hidden, f"{file.relative_to(ROOT)} imports {name}"

@@ -319,7 +319,7 @@ SAVED: dict[str, Callable[[Estimator], Estimator]] = {
 
 @pytest.mark.parametrize(("kind", "name"), _NAMES)
 def test_a_saved_state_goes_on(kind: str, name: str | None) -> None:
-    """To the last bit, through JSON, with gaps and in the middle of sparks; also as a copy and a pickle."""
+    """To the last bit, through JSON, with gaps and in the middle of bad contacts; also as a copy and a pickle."""
     cell = KINDS[kind]
     read, random = sensed(cell, presses(260), 1e-3), np.random.default_rng(3)
     read[128:132, ::2] *= 2.5
@@ -538,10 +538,10 @@ def test_a_bad_contact_of_a_calibrated_cell_is_over_when_it_is_over(name: str) -
     read = cell.rest_resistance_ohm * (1 + r) * (1 + 1e-3 * rng.standard_normal(len(time)))
     during = (np.abs(time[:, None] - [5.02, 11.02]) < 1.5 * dt).any(axis=1)
     assert np.count_nonzero(during) == 6
-    clean, sparked = cell.estimator((), name), cell.estimator((), name)
+    clean, disturbed = cell.estimator((), name), cell.estimator((), name)
     off = np.zeros(len(time))
     for n, ohm in enumerate(read):
-        off[n] = sparked.step(dt, 3.0 * ohm if during[n] else ohm) - clean.step(dt, ohm)
+        off[n] = disturbed.step(dt, 3.0 * ohm if during[n] else ohm) - clean.step(dt, ohm)
     assert np.abs(off[~during]).max() < 0.03 * FULL
 
 

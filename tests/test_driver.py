@@ -146,7 +146,7 @@ def test_real_parts_are_taken_out_of_the_reading() -> None:
 
 
 @pytest.mark.parametrize(("drive", "weak"), [(1.0, 1e7), (-1.0, np.inf)])
-def test_a_faint_cell_costs_no_other_with_a_reference_in_mid_supply(drive: float, weak: float) -> None:
+def test_a_cell_under_the_range_costs_no_other_with_a_reference_in_mid_supply(drive: float, weak: float) -> None:
     """Its code may lie on the wrong side of the reference: no current is less than none."""
     board = design(
         array={"rows": 4, "columns": 4, "row_lead": 25.0, "column_lead": 25.0},

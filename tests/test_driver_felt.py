@@ -235,7 +235,7 @@ def test_a_skin_that_drifts_has_no_contacts(board: tuple[str, str, int, float], 
     assert played.played(8, board, scene(name), np.random.default_rng(1)).false == 0
 
 
-# Short taps make contacts, contact sparks and other electrical faults make none
+# Short taps make contacts, intermittent contacts and other electrical faults make none
 
 
 EXAMPLE = Cell.example()
@@ -299,7 +299,7 @@ def test_a_short_tap_is_one_contact_at_once(
     frames=st.integers(1, 9),
     rate_hz=st.sampled_from([100.0, 400.0]),
 )
-def test_sparks_of_cells_that_are_no_neighbours_make_no_contact(
+def test_intermittent_contacts_of_cells_that_are_no_neighbours_make_no_contact(
     cells: list[tuple[int, int]], factor: float, frames: int, rate_hz: float
 ) -> None:
     """Up to 90 ms at 100 frames per second; several at once."""

@@ -220,11 +220,11 @@ class TestFreshness:
         )
         for order in (Order.IDENTIFY, Order.DESCRIBE, Order.START):
             board.receive(host_protocol("ohmskin").request(order))
-        introduction = b"".join(board.answers())
+        handshake = b"".join(board.answers())
         packets = [b"".join(board.tick()) for _ in range(241)]
         seen: dict[int, dict[int | None, np.ndarray]] = {}
         for rate_hz in (100, 20, 5):
-            port = Flow(introduction, packets.__getitem__, 0.01, at_once=4096)
+            port = Flow(handshake, packets.__getitem__, 0.01, at_once=4096)
             with Skin(port, delivery="every") as skin:  # so that no frame is skipped, however slow this machine is
                 port.deaf = rate_hz < 20  # whoever takes a frame then converts those before it
                 seen[rate_hz] = {}
@@ -525,12 +525,12 @@ class TestReconnection:
             assert sequences(list(islice(skin, 4))) == [0, 1, 2, 3]
 
     def test_another_board_at_the_same_port_is_left_alone(self) -> None:
-        stranger = Script(identity(serial_number="B2"), sheet(), frame(0))
+        another = Script(identity(serial_number="B2"), sheet(), frame(0))
         larger = Script(identity(rows=4), sheet(), frame(0))
-        bench = Bench(stranger, larger, Script(identity(boot_id=3), sheet(boot_id=3), frame(9, boot_id=3)))
+        bench = Bench(another, larger, Script(identity(boot_id=3), sheet(boot_id=3), frame(9, boot_id=3)))
         with Skin(described(frame(0), last=gone), delivery="lossless", reopen=bench.reopen) as skin:
             assert sequences(list(islice(skin, 2))) == [0, 9]
-        assert stranger.closed
+        assert another.closed
         assert larger.closed
 
     def test_the_error_says_why_the_board_went_away_and_what_was_found_instead(self) -> None:
@@ -590,7 +590,7 @@ class TestReconnection:
             opened.append(name)
             return open_port(name, *given, **options)
 
-        stranger = scene(board={"serial_number": "B2", "frame_rate": 500.0})
+        another = scene(board={"serial_number": "B2", "frame_rate": 500.0})
         unplugged = {"kind": "unplug", "at_s": 3.0, "duration_s": 0.5, "name": "skin-9"}
         moves = scene(board={"serial_number": "A1", "frame_rate": 500.0}, link_fault=[unplugged])
         with (
@@ -601,7 +601,7 @@ class TestReconnection:
             monkeypatch.setattr(serial, "serial_for_url", note)
             next(skin)
             until(lambda: skin.away is not None)
-            with running(stranger, PtyPort(tmp_path / "skin-1")):
+            with running(another, PtyPort(tmp_path / "skin-1")):
                 back = next(frame for frame in skin if frame.reconnected)
                 assert back.rebooted
                 assert skin.serial_number == "A1"
@@ -781,7 +781,7 @@ def absurd(**changes: object) -> bytes:
 
 
 class TestDescriptions:
-    """A description is what a stranger sent: it may be refused, and must not crash or stall the host."""
+    """A description is what a another sent: it may be refused, and must not crash or stall the host."""
 
     @pytest.mark.parametrize(
         "changes",

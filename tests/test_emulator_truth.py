@@ -206,7 +206,7 @@ def test_cells_that_read_as_pressed_at_rest_are_named_as_a_cause_of_false_contac
     assert "no cell is ever at rest" in score_text(always)
 
 
-def test_losses_repeats_and_strangers_are_counted() -> None:
+def test_losses_repeats_and_frames_of_others_are_counted() -> None:
     kept = np.r_[0:30, 40:FRAMES]
     real = truth()
     sequence = np.r_[real.sequence[kept], 130, 9999]

@@ -405,6 +405,11 @@ def test_the_exponential_of_candidates_is_one(x: float) -> None:
     assert filters.decay(x) == pytest.approx(np.exp(x), rel=1e-12 if x > -40.0 else 1e-2)
 
 
+@given(st.floats(-8.0, 8.0))
+def test_the_normal_distribution_of_candidates_is_one(z: float) -> None:
+    assert filters.mass(z, math.exp(-0.5 * z * z)) == pytest.approx(norm.cdf(z), rel=2e-9)
+
+
 @given(st.floats(-3.0, 3.0), st.floats(0.02, 0.5))
 def test_a_bound_counts_once_however_often_it_is_felt(z: float, load: float) -> None:
     """What is expected within the bounds is all that there is: without a reading the likelihood is one."""
@@ -644,6 +649,16 @@ def test_a_cell_at_rest_sleeps_while_it_still_remembers_and_wakes_under_a_touch(
     assert (remembered[late & asleep] > 10.0 * noise).any()
     assert (found[asleep] == 0.0).all()
     assert np.abs(found / FULL_KPA - load)[time > 8.15].max() < 0.02
+
+
+@given(st.floats(2e-3, 0.1))
+@settings(max_examples=10)
+def test_a_sleeping_cell_follows_what_drifts_in_seconds_whatever_the_rate(dt_s: float) -> None:
+    """A lag of first order; a rest that wandered with a load would hide the load."""
+    watch, t = zeros(filters.Watch, 1)[0], step_of(dt_s)
+    for _ in range(round(filters.DRIFTS_S / dt_s)):
+        assert filters.rests(watch, t, 4e-4, 4e-4, 1e-6)
+    assert watch.offset == pytest.approx(4e-4 * (1.0 - math.exp(-1.0)), rel=0.05)
 
 
 def test_a_gap_widens_the_deviation_until_readings_come_back() -> None:

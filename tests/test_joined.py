@@ -47,9 +47,9 @@ def played(tmp_path: Path, *scenes: Scene) -> list[Path]:
         board, period_s = Board(one, seed=1), 1.0 / one.board.frame_rate
         for order in (Order.IDENTIFY, Order.DESCRIBE, Order.START):
             board.receive(host_protocol("ohmskin").request(order))
-        introduction = b"".join(board.answers())
+        handshake = b"".join(board.answers())
         packets = [b"".join(board.tick()) for _ in range(round(1.0 / period_s) + 1)]
-        port = Flow(introduction, packets.__getitem__, period_s, at_once=4096)
+        port = Flow(handshake, packets.__getitem__, period_s, at_once=4096)
         with Skin(port, delivery="every", record=file) as skin:
             for _ in packets[1:]:
                 port.work(period_s + 1e-9)

@@ -52,6 +52,27 @@ def test_shorts_of_a_line_are_never_read_as_other_cells(kind: str, form: str) ->
         follow(design, [rest] * 2 + [shorted] * 4 + [rest] * 2)
 
 
+@pytest.mark.parametrize("ohm", [0.05, 5.0, 30.0, 90.0])
+def test_hard_cells_of_a_row_beyond_the_declared_range_hide_nothing(ohm: float) -> None:
+    """Two answers differ by all cells, and the wrong one has none beyond the range."""
+    draw = np.random.default_rng(1)
+    for lead, column_lead, reference in ((20.0, 1.0, 1e3), (20.0, 20.0, 1e3), (1.0, 1.0, 4.7e3), (1.0, 1.0, 1e3)):
+        rest = 9e3 * np.exp(draw.uniform(-0.12, 0.12, (8, 8)))
+        design = board(
+            "divider",
+            (8, 8),
+            12,
+            array={"row_lead": lead, "column_lead": column_lead},
+            drive={"voltage": 3.3, "idle_rows": "ground"},
+            readout={"reference_resistance": reference, "columns": "multiplexed", "idle_columns": "ground"},
+            cells={"rest_resistance": 9e3, "full_scale_resistance": 1.8e3},
+        )
+        for pressed in (np.s_[2:3, 6:8], np.s_[2:4, 6:8]):
+            hard = rest.copy()
+            hard[pressed] = ohm
+            follow(design, [rest] * 3 + [hard] * 3)
+
+
 @pytest.mark.parametrize("gain", [1e4, 1e5])
 def test_a_finger_on_a_board_with_a_follower_and_no_column_leads_is_read(gain: float) -> None:
     """Its cells are within their range, although cells of an ohm could read like them."""

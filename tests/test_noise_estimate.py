@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
+from designs import digitised
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
@@ -16,16 +19,16 @@ from ohmskin.driver import CountReader
 STEP = 1e-3
 
 
+@cache
+def amplified(rows: int, columns: int) -> Design:
+    """A board of steps of 1 mV, made once for the many readers of a test."""
+    adc = {"range": [0.0, 65536 * STEP]}
+    return digitised("grounded", rows, columns, 16, readout={"reference_resistance": 1e3}, adc=adc)
+
+
 def measured(readings: np.ndarray) -> list[float]:
     """Standard deviations in ADC steps after each frame of (frames, rows, columns) V."""
-    _, rows, columns = readings.shape
-    board = {
-        "array": {"rows": rows, "columns": columns},
-        "drive": {"voltage": -1.0},
-        "readout": {"circuit": "inverting-amplifier", "reference_resistance": 1e3},
-        "adc": {"bits": 16, "range": [0.0, 65536 * STEP]},
-    }
-    read, seen = CountReader(Design.model_validate(board)), []
+    read, seen = CountReader(amplified(*readings.shape[1:])), []
     for volts in readings:
         read(np.clip(np.round(volts / STEP) + 20000, 1, 65000).astype(np.int64))
         seen.append(read.noise_volts / STEP)
@@ -169,14 +172,8 @@ def test_five_readings_that_move_each_by_itself_do_not_hide_a_noise() -> None:
 
 def test_noise_on_a_few_readings_of_which_most_come_and_go_at_a_limit_is_not_multiplied() -> None:
     """Readings near a limit count as limited, but move and show the noise as any others do."""
-    design = Design.model_validate(
-        {
-            "array": {"rows": 4, "columns": 1},
-            "drive": {"voltage": -1.0},
-            "readout": {"circuit": "inverting-amplifier", "reference_resistance": 1e3, "supply": [-0.1, 3.4]},
-            "adc": {"bits": 8, "range": [-0.1, 3.3]},
-        }
-    )
+    readout = {"reference_resistance": 1e3, "supply": [-0.1, 3.4]}
+    design = digitised("grounded", 4, 1, 8, readout=readout, adc={"range": [-0.1, 3.3]})
     read, rng = CountReader(design), np.random.default_rng(12)
     volts = scan(design, np.array([[200.0], [400.0], [800.0], [500.0]])).volts
     step = 3.4 / 256
@@ -186,14 +183,8 @@ def test_noise_on_a_few_readings_of_which_most_come_and_go_at_a_limit_is_not_mul
 
 
 def divider(bits: int, reference_ohm: float, idle_rows: str) -> Design:
-    return Design.model_validate(
-        {
-            "array": {"rows": 8, "columns": 8, "row_lead": 25.0},
-            "drive": {"voltage": 3.3, "idle_rows": idle_rows},
-            "readout": {"circuit": "voltage-divider", "reference_resistance": reference_ohm},
-            "adc": {"bits": bits, "range": [0.0, 3.3]},
-        }
-    )
+    sections = {"drive": {"idle_rows": idle_rows}, "readout": {"reference_resistance": reference_ohm}}
+    return digitised("divider", 8, 8, bits, array={"row_lead": 25.0}, **sections)
 
 
 @pytest.mark.parametrize(

@@ -632,7 +632,7 @@ with Skin(Wire(Board(scene())), delivery="lossless", record={str(path)!r}) as sk
 
 
 @pytest.mark.parametrize("before", [None, b"precious"])
-def test_a_board_that_does_not_introduce_itself_leaves_no_recording_and_replaces_none(
+def test_a_board_that_is_silent_at_the_handshake_leaves_no_recording_and_replaces_none(
     before: bytes | None, tmp_path: Path
 ) -> None:
     """Else the next attempt, with the plug where it belongs, is refused since there is a file."""

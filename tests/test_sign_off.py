@@ -125,7 +125,7 @@ def test_papers_that_say_nothing_are_bad_input(changes: dict[str, Any], message:
         small(**changes)
 
 
-def test_a_stranger_sends_neither_papers_nor_ratings() -> None:
+def test_a_board_sends_neither_papers_nor_ratings() -> None:
     design = small(parts=RATED, document={"number": "DVR-7"})
     assert not {"document", "parts"} & design.model_dump().keys()
     with pytest.raises(InputError, match="only a file of your own"):

@@ -355,7 +355,20 @@ def test_the_design_of_the_report_reads_back(record: dict[str, Any]) -> None:
     ],
 )
 def test_the_schematic_shows_values_and_idle_lines(circuit: str, changes: dict[str, Any], words: list[str]) -> None:
-    page = verify(prototype().with_circuit(circuit).replace(**changes), only=["D11"]).html()
-    start = page.index('aria-label="schematic')
-    drawn = page[start : page.index("</svg>", start)]
+    drawn = _schematic_of(prototype().with_circuit(circuit).replace(**changes))
     assert [word for word in words if word not in drawn] == []
+
+
+def test_the_schematic_of_networks_shows_their_parts_and_no_drive_or_load_of_a_named_circuit() -> None:
+    row_end = {"selected": ["V1 line 0 5"], "idle": ["R7 line 0 100k"]}
+    tables = {"array": {"rows": 2, "columns": 3}, "row_end": row_end, "column_end": {"parts": ["R1 line 0 1.5k"]}}
+    drawn = _schematic_of(Design.model_validate(tables))
+    for words in ("networks at the lines", "V1 line 0 5.0", "R7 line 0 100000.0", "R1 line 0 1500.0"):
+        assert words in drawn
+    assert not any(words in drawn for words in ("voltage-divider", "reference", "1 V", "1 Ω"))
+
+
+def _schematic_of(design: Design) -> str:
+    page = verify(design, only=["D11"]).html()
+    start = page.index('aria-label="schematic')
+    return page[start : page.index("</svg>", start)]

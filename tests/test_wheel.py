@@ -28,7 +28,7 @@ LOWEST_PYTHON = (3, 11)
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PACKAGE = ROOT / "src" / "ohmskin"
-ROOMS = sorted(room.name for room in PACKAGE.iterdir() if room.is_dir() and room.name != "__pycache__")
+PACKAGES = sorted(package.name for package in PACKAGE.iterdir() if package.is_dir() and package.name != "__pycache__")
 LEFT_OVER = shutil.ignore_patterns(
     ".venv",
     ".git",
@@ -104,23 +104,23 @@ def _run(*command: str | Path, cwd: Path | None = None, exit_code: int = 0, path
 def test_the_wheel_holds_every_file_of_every_room(wheel: Path) -> None:
     packed = set(zipfile.ZipFile(wheel).namelist())
     own = [(file, file.relative_to(PACKAGE)) for file in PACKAGE.iterdir() if file.is_file()]
-    packaged = [room for room in ROOMS if room != "bench"]
-    rooms = [(file, file.relative_to(ROOT)) for room in packaged for file in (ROOT / room).rglob("*")]
+    packaged = [package for package in PACKAGES if package != "bench"]
+    packages = [(file, file.relative_to(ROOT)) for package in packaged for file in (ROOT / package).rglob("*")]
     assert len(packaged) > 10
     assert not any(name.startswith("ohmskin/bench/") for name in packed), "measurements are for a checkout"
-    for file, inside in [*own, *rooms]:
+    for file, inside in [*own, *packages]:
         packs = file.suffix in (".py", ".toml", ".html", ".typed", ".cjs", ".hex", ".js", ".css", ".svg")
         if packs and not {"__pycache__", "node_modules"} & set(file.parts):
             assert str(Path("ohmskin") / inside) in packed
 
 
 def test_the_source_distribution_holds_what_a_maintainer_needs(built: Path) -> None:
-    """The rooms lie below src/ohmskin there; `make` puts links to them beside it."""
+    """The packages lie below src/ohmskin there; `make` puts links to them beside it."""
     (file,) = built.glob("*.tar.gz")
     with tarfile.open(file) as archive:
         packed = {name.partition("/")[2] for name in archive.getnames()}
     folders = [(ROOT / folder, Path(folder)) for folder in ("docs", "examples", "firmware", "tests", ".ci")]
-    for folder, place in [*folders, *((ROOT / room, Path("src/ohmskin") / room) for room in ROOMS)]:
+    for folder, place in [*folders, *((ROOT / package, Path("src/ohmskin") / package) for package in PACKAGES)]:
         for path in folder.rglob("*"):
             if path.is_file() and not {"__pycache__", "node_modules", "build"} & set(path.parts):
                 assert str(place / path.relative_to(folder)) in packed
@@ -357,8 +357,8 @@ def test_only_one_module_imports_what_only_posix_has() -> None:
     """The harness of measurements is no part of the package; it may."""
     assert POSIX
     for path in (SOURCES / "src" / "ohmskin").resolve().parents[1].glob("*/**/*.py"):
-        room = path.relative_to(SOURCES).parts[0]
-        if room in ("tests", "bench", "src", ".venv", "build") or path.name == "system.py":
+        package = path.relative_to(SOURCES).parts[0]
+        if package in ("tests", "bench", "src", ".venv", "build") or path.name == "system.py":
             continue
         for node in ast.walk(ast.parse(path.read_text())):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []

@@ -33,7 +33,7 @@ EITHER_SIGN = (
     "adc.gain_error",
     "adc.inl_steps",
 )
-ROOM = 1.01
+SLACK = 1.01
 """by which chance may beat a stated worst case"""
 
 
@@ -210,7 +210,7 @@ def borne_and_in_time(design: Design, nominal: Design, cells: Array) -> dict[str
 
 
 def beaten_in_time(design: Design, seed: int, report: Report, count: int = 60) -> dict[str, tuple[float, float]]:
-    """Stated limits of stresses and of quantities in time that chance beats by more than :data:`ROOM`."""
+    """Stated limits of stresses and of quantities in time that chance beats by more than :data:`SLACK`."""
     random = np.random.default_rng([seed, 2])
     found = beaten_by_its_own_boards(report)
     says = {r.requirement.quantity: r.measurement.value for r in report.results if r.measurement is not None}
@@ -220,14 +220,14 @@ def beaten_in_time(design: Design, seed: int, report: Report, count: int = 60) -
             if quantity not in says:
                 continue
             stated_value, least = says[quantity], quantity in ("fastest_scan", "phase_margin")
-            worse = value < stated_value / ROOM if least else value > ROOM * stated_value + 1e-9
+            worse = value < stated_value / SLACK if least else value > SLACK * stated_value + 1e-9
             if worse:
                 found[quantity] = stated_value, value
     return found
 
 
 def beaten_by_its_own_boards(report: Report) -> dict[str, tuple[float, float]]:
-    """Stated worst cases that one of the random boards beside them beats by more than :data:`ROOM`."""
+    """Stated worst cases that one of the random boards beside them beats by more than :data:`SLACK`."""
     found = {}
     for result in report.results:
         measurement, quantity = result.measurement, result.requirement.quantity
@@ -235,7 +235,7 @@ def beaten_by_its_own_boards(report: Report) -> dict[str, tuple[float, float]]:
             continue
         side = -1.0 if quantity.endswith("headroom") or quantity in ("fastest_scan", "phase_margin") else 1.0
         drawn, limit = side * measurement.bounds.sampled, side * measurement.value
-        if drawn > limit + (ROOM - 1.0) * abs(limit) + 1e-9:
+        if drawn > limit + (SLACK - 1.0) * abs(limit) + 1e-9:
             found[f"{quantity}, own boards"] = measurement.value, measurement.bounds.sampled
     return found
 
@@ -486,14 +486,14 @@ def asked(design: Design) -> list[Requirement]:
 
 
 def beaten(design: Design, seed: int, report: Report, count: int = 2000) -> dict[str, tuple[float, float]]:
-    """Stated worst cases that chance beats by more than :data:`ROOM`, with what chance found."""
+    """Stated worst cases that chance beats by more than :data:`SLACK`, with what chance found."""
     says = stated(report)
     found = beaten_by_its_own_boards(report)
     tries = ((count, True, False), (count, False, False), (count // 20, True, True))
     for boards, corners, resolved in tries:
         for quantity, value in attack(design, seed, boards, corners=corners, resolved=resolved).items():
             limit = says[quantity]
-            if value > limit + (ROOM - 1.0) * abs(limit):
+            if value > limit + (SLACK - 1.0) * abs(limit):
                 found[quantity] = limit, max(value, found.get(quantity, (0.0, -np.inf))[1])
     return found
 

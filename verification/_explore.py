@@ -33,7 +33,7 @@ from ..errors import InputError, SolverError
 from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest
 from ._judging import worst_of
-from ._outcome import DoesNotApply, Measurement, NotRun
+from ._outcome import DoesNotApply, NotRun, attempted
 from ._quantity import AVERAGING, DOWN, NOMINAL, UP, WORST
 from ._record import Outcome
 from ._requirements import evaluate
@@ -437,22 +437,20 @@ def _judged(dut: DesignUnderTest, changes: dict[str, float | str]) -> Variation:
     here = varied(dut, changes)
     error, crosstalk = (100 * worst_of(here, target).value for target in (ReadingError(), Crosstalk()))
     unknown: list[str] = []
-    asked = Requirement(id="explore", quantity="pressure_resolution")
-    kpa = _known(lambda: CATALOGUE["pressure_resolution"].compute(here, asked, NOMINAL), "resolution", unknown)
-    settling = _known(lambda: CATALOGUE["settling_error"].compute(here, asked, WORST), "settling", unknown)
+
+    def known(quantity: str, name: str = "", method: str = NOMINAL) -> float:
+        """NaN, and a line in ``unknown``, where the design does not say enough."""
+        asked = Requirement(id="explore", quantity=quantity)
+        found = attempted(lambda: CATALOGUE[quantity].compute(here, asked, method))
+        if found.found is None and name:
+            unknown.append(f"{name}: not known, {found.reason}")
+        return nan if found.found is None else found.found.value
+
+    kpa, settling = known("pressure_resolution", "resolution"), known("settling_error", "settling", WORST)
     rate = here.design.operation.frame_rate
-    if rate is not None and _known(lambda: CATALOGUE["lost_frames"].compute(here, asked, NOMINAL), "", []) > 0:
+    if rate is not None and known("lost_frames") > 0:
         settling = inf
     return Variation(changes, error, crosstalk, kpa, settling, rate or inf, unknown=tuple(unknown))
-
-
-def _known(quantity: Callable[[], Measurement], name: str, unknown: list[str]) -> float:
-    """The value of a quantity; NaN, and a line in ``unknown``, where the design does not say enough."""
-    try:
-        return quantity().value
-    except (NotRun, InputError, SolverError) as error:
-        unknown.append(f"{name}: not known, {error}")
-        return nan
 
 
 class _Judged(NamedTuple):

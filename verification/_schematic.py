@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ..circuits import Design
+from ..circuits import Design, LineEnds
 from ._units import engineering
 
 _STROKE = 'stroke="currentColor" stroke-width="1.4"'
@@ -102,8 +102,18 @@ def schematic(design: Design) -> str:
                 drawing.text(x + 10, bottom + 74, f"lead {_value(lead, 'ohm')}", anchor="start")
         _end(drawing, design, x, bottom + 90, label=column == 0)
     size = f"{design.array.rows} × {design.array.columns} cells"
-    drawing.text(LEFT + 55, 22, f"{design.readout.circuit}, {size}; drawn: {_drawn(design)}", size=13)
-    return drawing.svg(right + 330, bottom + 330, f"schematic: {design.readout.circuit}, {size}")
+    what = "networks at the lines' ends" if design.is_described else design.readout.circuit
+    drawing.text(LEFT + 55, 22, f"{what}, {size}; drawn: {_drawn(design)}", size=13)
+    if ends := _networks(design):
+        shared = {"at each cell": ends.crosspoint, "reference": ends.reference}
+        words = (f"{where}: {', '.join(card.line() for card in cards)}" for where, cards in shared.items() if cards)
+        drawing.lines(LEFT + 55, bottom + 250, words, size=10.5)
+    return drawing.svg(right + 330, bottom + 330, f"schematic: {what}, {size}")
+
+
+def _networks(design: Design) -> LineEnds | None:
+    """The networks that a design describes at its lines' ends; None of a named circuit."""
+    return design.board.line_ends if design.is_described else None
 
 
 def _row(drawing: _Drawing, design: Design, row: int, right: float) -> None:
@@ -111,7 +121,26 @@ def _row(drawing: _Drawing, design: Design, row: int, right: float) -> None:
     kind = design.board.line_kinds[0]
     segment, lead = (getattr(design.array, f"{kind}_{part}") for part in ("segment", "lead"))
     drawing.line((140, y), (right + 20, y))
-    drive = engineering(design.drive.voltage, "V")
+    drawing.text(132, y - 3, f"{kind} {design.board.driven_line(row)}", anchor="end", size=12)
+    if ends := _networks(design):
+        cards = ends.idle[row] if row else ends.selected[row]
+        words = ["idle:" if row else "selected:", *(card.line() for card in cards)]
+        drawing.lines(4, y + 14, words if cards else ["idle: open"], size=10.5)
+    else:
+        _driver(drawing, design, row)
+    if _some(lead):
+        drawing.resistor(190, y)
+        if row == 0:
+            drawing.text(190, y - 12, f"lead {_value(lead, 'ohm')}")
+    if right > LEFT and _some(segment):
+        drawing.resistor(LEFT + PITCH_X / 2 + 25, y, length=28)
+        if row == 0:
+            drawing.text(LEFT + PITCH_X / 2 + 25, y - 12, f"segment {_value(segment, 'ohm')}")
+
+
+def _driver(drawing: _Drawing, design: Design, row: int) -> None:
+    """What a named circuit drives the row with, or lets it idle at."""
+    y, drive = TOP + row * PITCH_Y, engineering(design.drive.voltage, "V")
     idle = {"ground": "at the reference", "float": "open", "pull": "open"}[design.drive.idle_rows]
     if design.board.circuit.drives_idle_lines:
         idle = "at the follower"
@@ -122,17 +151,8 @@ def _row(drawing: _Drawing, design: Design, row: int, right: float) -> None:
         drawing.dot(LEFT - 52, y)
         if row == 0:
             drawing.text(LEFT - 64, y + 40, _value(design.drive.idle_row_resistance, "ohm"), anchor="end")
-    drawing.text(132, y - 3, f"{kind} {design.board.driven_line(row)}", anchor="end", size=12)
     words = f"selected: {drive}" if row == 0 else f"idle: {idle}"
     drawing.text(132, y + 12, words, anchor="end", size=10.5)
-    if _some(lead):
-        drawing.resistor(190, y)
-        if row == 0:
-            drawing.text(190, y - 12, f"lead {_value(lead, 'ohm')}")
-    if right > LEFT and _some(segment):
-        drawing.resistor(LEFT + PITCH_X / 2 + 25, y, length=28)
-        if row == 0:
-            drawing.text(LEFT + PITCH_X / 2 + 25, y - 12, f"segment {_value(segment, 'ohm')}")
 
 
 def _drawn(design: Design) -> str:
@@ -150,6 +170,15 @@ def _place(design: Design, row: int, column: int) -> str:
 
 def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) -> None:
     readout = design.readout
+    if ends := _networks(design):
+        drawing.line((x, y), (x, y + 70))
+        drawing.box(x, y + 55, 90, 30)
+        drawing.text(x, y + 59, "network")
+        if label:
+            drawing.lines(x + 55, y + 48, (card.line() for card in ends.read[0]), size=10.5)
+        _converter(drawing, design, x, y + 95, label=label)
+        drawing.line((x, y + 70), (x, y + 95))
+        return
     if design.board.multiplexed:  # the switch stands open at idle columns
         kind, part = design.board.line_kinds[1], "amplifier" if design.board.circuit.virtual_ground else "load"
         idle = {"float": "open", "ground": "at the reference", "load": "at loads of their own"}[readout.idle_columns]

@@ -35,7 +35,6 @@ class Networks(ReadoutCircuit):
     name = "described"
     has_amplifiers = False
     mixes_cells = True
-    behind_the_load = "the ends of all lines are networks"
 
     def __init__(self, *, inverts: bool) -> None:
         """``inverts``: whether a cell that conducts more lowers the output, for a positive drive."""

@@ -32,6 +32,8 @@ from ._law_kernels import LEAST, answers
 
 MOST_WIRE = 2.0
 """resistance of a cell's lines over its own from which on it reads like a short"""
+_STANDS_OUT = 10.0  # port conductance over the usual one of its column, from which on a cell may be a short
+_FEW = 3  # rows, below which the usual one is that of all cells
 _CONTACT = 0.01  # ohm, of a cell of which nothing is declared: contacts of metals have as much
 ONE = 3.0
 """largest over least conductance of all answers, up to which they are one within their errors"""
@@ -90,8 +92,9 @@ class Answers:
     ) -> tuple[FloatArray, FloatArray]:
         """Bounds (N, M) in S on the cells behind readings (N, M) in V that are known within an ``error`` in V.
 
-        No cell is taken to conduct more than the least resistance does, but for cells at a limit and cells that seem
-        to conduct more; no column, together, more than all other lines' leads let pass.
+        No cell is taken to conduct more than the least resistance does, but for cells at a limit, cells that seem to
+        conduct more, and several of one row that stand out from their columns (on boards of one or two rows from all
+        cells), which may be shorts that read alike; no column, together, more than all other lines' leads let pass.
 
         Args:
             volts: readings.
@@ -106,6 +109,9 @@ class Answers:
         drives = law.drive[0] + law.drive[1] * volts
         own, share = ((part[0] + part[1] * volts) / drives for part in (law.current, law.potential))
         driven = own + share * own.sum(axis=0) / np.maximum(1.0 - share.sum(axis=0), LEAST)
+        usual = np.sort(driven.reshape(-1, 1) if rows < _FEW else driven, axis=0)  # few tell nothing of their column
+        short = driven > _STANDS_OUT * np.maximum(usual[(len(usual) - 1) // 2], 0.0)
+        limited = limited | short & (np.count_nonzero(short, axis=1) > 1)[:, None]
         low = limited | (driven * (self._least_ohm + self._lead[:, None]) >= 1.0)
         most = np.where(low, 1.0 / LEAST_SHORT_OHM, 1.0 / self._least_ohm)
         column_most = np.minimum(self._column_most, most.sum(axis=0))

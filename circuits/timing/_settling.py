@@ -385,7 +385,7 @@ class _Loops(NamedTuple):
             back = feedback + s * across  # (K, judged column, column)
             held = back + s * line + np.where(np.eye(len(columns)), 0.0, back / (slack + s / speed))
             matrix = network + held[..., None] * np.eye(len(columns))
-            ends = np.linalg.solve(matrix, np.eye(len(columns))[:, :, None])[:, columns, columns, 0]
+            ends = np.linalg.solve(matrix, np.eye(len(columns))[None, :, :, None])[:, columns, columns, 0]
             found[first : first + size] = 1.0 / ends - held[:, columns, columns]
         return found
 
