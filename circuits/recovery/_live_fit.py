@@ -92,6 +92,9 @@ _NO_CELLS = "no cell resistances give these readings; check that the design is t
 _MOST_UNREAD, _MOST_TIED = 3, 8  # cells whose intervals are gone through, by all corners and by the outermost ones
 _PATH = 4  # points on the way of a cell of unknown size to a short
 _BESIDE_STEPS, _BESIDE_STEP = 10, 0.01  # steps to the others beside it, and relative change of shares in the last one
+_SHARE_BESIDE = (
+    0.3  # share of which that counts beside several cells, at whose corners small ones are hardly determined
+)
 _BESIDE_SLOW = 0.5  # of a step's length over the one before, above which derivatives are made anew
 _SWING = 0.07  # of a share, up to which derivatives hold
 _MOST_AXES = 6  # of the covariance along which the model is asked
@@ -347,7 +350,8 @@ class FitLive:
                     continue
                 there, before = linear.moved(there, step, coarser, self._most), length
                 there[cells] = held
-                if (np.abs(step) <= np.maximum(SETTLED * std, _BESIDE_STEP * np.abs(begun))).all():
+                enough = _BESIDE_STEP * np.maximum(np.abs(begun), 0.0 if on_path else _SHARE_BESIDE)
+                if (np.abs(step) <= np.maximum(SETTLED * std, enough)).all():
                     break
             else:  # some are hardly determined, or this is beyond what the readings allow
                 step *= _BESIDE_STEPS
@@ -600,8 +604,9 @@ class FitLive:
         end = 1.0 / (board.circuit.end_resistance(board) + LEAST_SHORT_OHM)
         along = cells.sum(axis=1, keepdims=True) + np.reshape(held, (-1, 1))
         down = cells.sum(axis=0) + end
-        behind: FloatArray = sum(1.0 / np.maximum(of_line - cells, TINY) for of_line in (along, down))
-        return np.maximum(behind, _LEAST_BEHIND * board.reference.mean()).ravel()
+        behind: FloatArray = 1.0 / np.maximum(along - cells, TINY) + 1.0 / np.maximum(down - cells, TINY)
+        floor = _LEAST_BEHIND * float(board.reference.mean())
+        return np.maximum(behind, floor).ravel()
 
     def _per_share(self, cells: FloatArray, behind: FloatArray) -> FloatArray:
         """S (N, M) of the crosspoints by the shares of their cells (N, M) in ohm."""
