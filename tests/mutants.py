@@ -488,7 +488,7 @@ def main() -> int:
         became = outcome(mutant, tests, options.seconds)
         tally[package][became] += 1
         if became != "killed":
-            print(f"{became}: {mutant.text}   ({len(tests)} tests)", flush=True)
+            print(f"{number + 1} {became}: {mutant.text}   ({len(tests)} tests)", flush=True)
     columns = ("killed", "survived", "not reached", "no mutant")
     print(f"{'package':<14}", *(f"{name:>11}" for name in columns), f"   (seed {options.seed})")
     for package, count in tally.items():

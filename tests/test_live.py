@@ -7,35 +7,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from designs import KINDS, digitised
+from live import counts_of
 
 from ohmskin.bench import _live_search, _live_streams
 from ohmskin.circuits import Design, Reason, adc_codes, live_recovery, scan
 from ohmskin.driver import CountReader, Measurement
 from ohmskin.errors import InputError
 
-CIRCUITS = (
-    ("inverting-amplifier", "ground"),
-    ("row-amplifier", "ground"),
-    ("inverting-amplifier", "float"),
-    ("voltage-divider", "ground"),
-    ("voltage-divider", "float"),
-    ("voltage-feedback", "ground"),
-)
+EVERY = "grounded", "rows", "floating", "divider", "open divider", "feedback"
 
 
-def board(circuit: str, rows: int, columns: int, bits: int, *, idle_rows: str = "ground", **array: Any) -> Design:
-    amplified = "amplifier" in circuit
-    readout = {"circuit": circuit, "reference_resistance": 1e3 if amplified else 5e3}
-    if circuit != "voltage-divider":
+def board(kind: str, rows: int, columns: int, bits: int, **array: Any) -> Design:
+    amplified = KINDS[kind][0].endswith("amplifier")
+    readout: dict[str, Any] = {"reference_resistance": 1e3} if amplified else {}
+    if KINDS[kind][0] != "voltage-divider":
         readout |= {"open_loop_gain": 1e5, "offset_voltage": 1e-3, "supply": [-0.2, 3.3]}
-    return Design.model_validate(
-        {
-            "array": {"rows": rows, "columns": columns, "row_lead": 25.0, "column_lead": 25.0} | array,
-            "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows},
-            "readout": readout,
-            "adc": {"bits": bits, "range": [-0.1, 1.0] if amplified else [0.0, 3.3]},
-        }
-    )
+    adc = {"range": [-0.1, 1.0] if amplified else [0.0, 3.3]}
+    return digitised(kind, rows, columns, bits, lead=25.0, array=array, readout=readout, adc=adc)
 
 
 def pressed(shape: tuple[int, int], rng: np.random.Generator, frames: int, hard_ohm: float) -> np.ndarray:
@@ -59,33 +48,33 @@ def relative_error(found: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.abs(cells / found - 1), nan=0.0, posinf=0.0)
 
 
-@pytest.mark.parametrize(("circuit", "idle_rows"), CIRCUITS)
+@pytest.mark.parametrize("kind", EVERY)
 @pytest.mark.parametrize("bits", [8, 12])
-def test_valid_cells_lie_within_what_is_claimed_whatever_the_converter(circuit: str, idle_rows: str, bits: int) -> None:
+def test_valid_cells_lie_within_what_is_claimed_whatever_the_converter(kind: str, bits: int) -> None:
     rng = np.random.default_rng(bits)
     valid = cells = 0
     for hard_ohm in (2000.0, 150.0):  # the second one saturates outputs and converter
-        design = board(circuit, int(rng.integers(3, 8)), int(rng.integers(3, 8)), bits, idle_rows=idle_rows)
+        design = board(kind, int(rng.integers(3, 8)), int(rng.integers(3, 8)), bits)
         read = CountReader(design)
         for frame in pressed(design.array.shape, rng, 25, hard_ohm):
-            reading = read(adc_codes(design, scan(design, frame).volts))
+            reading = read(counts_of(design, frame))
             assert (reading.reason != Reason.UNSOLVED).all()
             error = relative_error(reading.resistance, frame)
             assert (error[reading.valid] <= 1.5 * reading.uncertainty[reading.valid]).all()
             assert (error[reading.valid] < 0.5).all()  # never off by a factor of two
             valid, cells = valid + reading.valid.sum(), cells + frame.size
-    if circuit != "voltage-divider":  # 8 bits do not resolve a cell of a loaded grid
+    if "divider" not in kind:  # 8 bits do not resolve a cell of a loaded grid
         assert valid > 0.4 * cells
 
 
 @pytest.mark.parametrize(("lead", "segment"), [(0.0, 0.0), (5.0, 0.0), (25.0, 1.0), (50.0, 5.0)])
-@pytest.mark.parametrize("circuit", ["inverting-amplifier", "row-amplifier"])
-def test_amplified_cells_are_known_to_an_adc_step(circuit: str, lead: float, segment: float) -> None:
+@pytest.mark.parametrize("kind", ["grounded", "rows"])
+def test_amplified_cells_are_known_to_an_adc_step(kind: str, lead: float, segment: float) -> None:
     lines = {"row_lead": lead, "column_lead": lead, "row_segment": segment, "column_segment": segment}
-    design = board(circuit, 9, 12, 12, **lines)
+    design = board(kind, 9, 12, 12, **lines)
     read = CountReader(design)
     for frame in pressed((9, 12), np.random.default_rng(3), 40, 2500.0):
-        reading = read(adc_codes(design, scan(design, frame).volts))
+        reading = read(counts_of(design, frame))
         assert reading.valid.all()
         step = design.adc.step / scan(design, frame).volts  # type: ignore[union-attr]
         assert (relative_error(reading.resistance, frame) <= 1.3 * step + 2e-4).all()
@@ -93,12 +82,12 @@ def test_amplified_cells_are_known_to_an_adc_step(circuit: str, lead: float, seg
 
 def test_unequal_offsets_and_gains_are_taken_out() -> None:
     rng = np.random.default_rng(7)
-    design = board("inverting-amplifier", 6, 5, 16).replace(
+    design = board("grounded", 6, 5, 16).replace(
         readout={"offset_voltage": rng.uniform(-3e-3, 3e-3, 5).tolist(), "open_loop_gain": [1e3, 1e4, 1e5, 1e9, 1e2]}
     )
     read = CountReader(design)
     for frame in pressed((6, 5), rng, 20, 2000.0):
-        reading = read(adc_codes(design, scan(design, frame).volts))
+        reading = read(counts_of(design, frame))
         assert reading.valid.all()
         np.testing.assert_allclose(reading.resistance, frame, rtol=2e-3)
 
@@ -108,22 +97,22 @@ def test_unknown_cells_disturb_no_valid_one(seed: int) -> None:
     """Cells far beyond the limit: a valid neighbour is right all the same."""
     rng = np.random.default_rng(seed)
     lead = float(rng.choice([0.0, 1.0, 25.0, 100.0]))
-    design = board("inverting-amplifier", 7, 6, 12, row_lead=lead, column_lead=float(rng.choice([0.0, 5.0])))
+    design = board("grounded", 7, 6, 12, row_lead=lead, column_lead=float(rng.choice([0.0, 5.0])))
     read = CountReader(design)
     for frame in pressed((7, 6), rng, 12, 2000.0):
         for place in rng.choice(frame.size, 3, replace=False):
             frame.flat[place] = 10 ** rng.uniform(-3, 2.3)
-        reading = read(adc_codes(design, scan(design, frame).volts))
+        reading = read(counts_of(design, frame))
         error = relative_error(reading.resistance, frame)
         assert (error[reading.valid] <= 1.5 * reading.uncertainty[reading.valid]).all()
         assert (reading.reason[frame < 300] != Reason.VALID).all()
 
 
 def test_what_a_frame_did_not_settle_the_next_ones_do() -> None:
-    design = board("inverting-amplifier", 8, 8, 12, row_lead=100.0, column_lead=100.0)
+    design = board("grounded", 8, 8, 12, row_lead=100.0, column_lead=100.0)
     read, rng = CountReader(design), np.random.default_rng(1)
     for frame in 10 ** rng.uniform(3.3, 4.5, (5, 8, 8)):
-        counts = adc_codes(design, scan(design, frame).volts)
+        counts = counts_of(design, frame)
         for _ in range(6):
             reading = read(counts)
         assert reading.valid.all()
@@ -133,20 +122,20 @@ def test_what_a_frame_did_not_settle_the_next_ones_do() -> None:
 @pytest.mark.parametrize("bits", [6, 12])
 def test_outputs_that_come_back_from_a_limit_are_read_where_the_next_frame_confirms_them(bits: int) -> None:
     """All cells at once, to half of the range: after one frame nobody can say whether noise has begun."""
-    design = board("inverting-amplifier", 3, 3, bits).replace(adc={"range": (-0.1, 3.3)})
+    design = board("grounded", 3, 3, bits).replace(adc={"range": (-0.1, 3.3)})
     pressed_hard, released = np.full((3, 3), 10.0), np.full((3, 3), 600.0)
     read = CountReader(design)
     for cells in (*[released] * 6, *[pressed_hard] * 6):
-        reading = read(adc_codes(design, scan(design, cells).volts))
+        reading = read(counts_of(design, cells))
     assert (reading.reason == Reason.SATURATED).all()
     counts = adc_codes(design, scan(design, released).volts)
     assert (read(counts).reason == Reason.SATURATED).all()
     assert read(counts).valid.all()
 
 
-@pytest.mark.parametrize(("circuit", "idle_rows"), CIRCUITS)
-def test_a_pickled_reader_goes_on_with_the_noise_that_it_has_measured(circuit: str, idle_rows: str) -> None:
-    design, rng = board(circuit, 4, 4, 12, idle_rows=idle_rows), np.random.default_rng(0)
+@pytest.mark.parametrize("kind", EVERY)
+def test_a_pickled_reader_goes_on_with_the_noise_that_it_has_measured(kind: str) -> None:
+    design, rng = board(kind, 4, 4, 12), np.random.default_rng(0)
     assert design.adc is not None
     read = CountReader(design, accuracy=0.4)
     for number, cells in enumerate(pressed((4, 4), rng, 12, 2e3)):
@@ -166,12 +155,12 @@ def test_a_pickled_reader_goes_on_with_the_noise_that_it_has_measured(circuit: s
 
 def test_a_design_without_a_converter_is_refused() -> None:
     with pytest.raises(InputError, match=r"no \[adc\] section"):
-        live_recovery(board("inverting-amplifier", 2, 2, 12).replace(adc=None))
+        live_recovery(board("grounded", 2, 2, 12).replace(adc=None))
 
 
 def test_noise_does_not_bring_a_saturated_output_back_to_life() -> None:
     """An output at its limit, with noise of half a step, is read on either side of the limit."""
-    design = board("inverting-amplifier", 6, 6, 12, row_lead=5.0, column_lead=5.0).replace(
+    design = board("grounded", 6, 6, 12, row_lead=5.0, column_lead=5.0).replace(
         readout={"supply": [-0.1, 3.3], "reference_resistance": 20e3}, adc={"range": [0.0, 3.3]}
     )
     rng, read = np.random.default_rng(0), CountReader(design)
@@ -208,7 +197,7 @@ def test_the_search_notices_a_wrong_cell(monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.parametrize("sigma_steps", [0.5, 3.0])
 def test_the_noise_of_the_readings_is_in_the_uncertainty(sigma_steps: float) -> None:
     """Measured from frame to frame, while two fingers press: 3 standard deviations, hence 0.3 % of cells beyond."""
-    design = board("inverting-amplifier", 8, 8, 12)
+    design = board("grounded", 8, 8, 12)
     rng, read, beyond, cells = np.random.default_rng(5), CountReader(design), 0, 0
     assert design.adc is not None
     for number, frame in enumerate(pressed((8, 8), rng, 60, 2500.0)):
@@ -223,17 +212,17 @@ def test_the_noise_of_the_readings_is_in_the_uncertainty(sigma_steps: float) -> 
 
 
 def test_the_noise_that_a_design_names_counts_from_the_first_frame() -> None:
-    noisy = board("inverting-amplifier", 4, 4, 16).replace(
+    noisy = board("grounded", 4, 4, 16).replace(
         readout={"voltage_noise": 1e-6, "gain_bandwidth": 1e6, "column_capacitance": 1e-10}
     )
-    cells, quiet = np.full((4, 4), 1e4), board("inverting-amplifier", 4, 4, 16)
+    cells, quiet = np.full((4, 4), 1e4), board("grounded", 4, 4, 16)
     assert CountReader(noisy).noise_volts > 1e-4
     seen = [read(adc_codes(quiet, scan(quiet, cells).volts)).uncertainty for read in map(CountReader, (quiet, noisy))]
     assert (seen[1] > 2 * seen[0]).all()
 
 
 def test_the_accuracy_asked_for_decides_what_is_valid() -> None:
-    design = board("inverting-amplifier", 4, 4, 8)
+    design = board("grounded", 4, 4, 8)
     counts = adc_codes(design, scan(design, np.full((4, 4), 5e3)).volts)
     (own,) = {round(float(value), 3) for value in _second(design, counts, None).uncertainty.ravel()}
     assert _second(design, counts, None).valid.all()
@@ -253,12 +242,12 @@ def _second(design: Design, counts: np.ndarray, accuracy: float | None) -> Measu
 
 def test_a_known_short_beside_a_cell_makes_the_cell_less_certain() -> None:
     """A tenth of the current is the cell's: an error of the reading weighs ten times."""
-    whole = board("inverting-amplifier", 3, 3, 10)
+    whole = board("grounded", 3, 3, 10)
     shunted = whole.replace(fault=({"kind": "shorted-cell", "place": [1, 1], "resistance": 2e3},))
     cells = np.full((3, 3), 18e3)
     for lead in (0.0, 25.0):
         design = shunted.replace(array={"row_lead": lead, "column_lead": lead})
-        reading = _second(design, adc_codes(design, scan(design, cells).volts), 0.5)
+        reading = _second(design, counts_of(design, cells), 0.5)
         assert reading.valid[1, 1]
         error = relative_error(reading.resistance, cells)
         assert (error <= reading.uncertainty).all()

@@ -355,6 +355,14 @@ def test_code_of_a_design_runs_only_where_it_is_allowed(tmp_path: Path) -> None:
     assert (tmp_path / "checks.ran").exists()
 
 
+def test_a_function_of_ones_own_is_asked_once_whatever_the_method(tmp_path: Path) -> None:
+    """Random boards are drawn for what the catalogue has."""
+    (tmp_path / "own.py").write_text("def f(design, cell): return 0.5\n")
+    asked = [Requirement(id="R1", quantity="own.py:f", max=1.0, method="monte-carlo")]
+    (result,) = verify(requirements=asked, folder=tmp_path, allow_code=True).results
+    assert result.outcome is Outcome.PASS
+
+
 def test_the_text_that_was_read_is_what_runs(tmp_path: Path) -> None:
     """Not bytecode that lies beside it, nor a module of the folder in place of Python's own."""
     forged = compile("def f(design, cell): return 0.5", "checks.py", "exec")

@@ -274,7 +274,7 @@ def _compute(
 
 def _is_drawn(requirement: Requirement) -> bool:
     """Whether random boards judge a requirement, which are drawn in blocks before it is."""
-    return requirement.method == SAMPLED
+    return requirement.method == SAMPLED and requirement.quantity in CATALOGUE
 
 
 def _on_board(dut: DesignUnderTest, task: Task) -> bool:

@@ -1,9 +1,17 @@
-"""Live recovery where all cells take part in every reading: Gauss-Newton steps with exact derivatives.
+"""Live recovery where all cells take part in every reading: Newton steps on shares with exact derivatives.
 
-On dividers with floating rows no law of single columns holds. The unknowns are the logarithms x of the conductances, so
-that none becomes negative. With the derivatives J of the readings, in standard deviations of an ADC step's error, and a
-broad prior of standard deviation s, a step is (J'J + 1/s^2)^-1 J' r (Levenberg, Marquardt): what the readings determine
-follows them, the rest stays. The same inverse is the covariance of x. It is kept as long as steps by it converge.
+On dividers with floating rows no law of single columns holds. The unknown of a cell with the conductance G is its share
+
+    q = G z / (1 + G z),
+
+with the resistance z that its lines show it where nothing drives them: 0 for an open cell, 1 for a short. Readings are
+nearly linear in shares from end to end, so that Newton's method takes three to ten steps from readings as if each cell
+were alone. As in the laws of columns, cells that hardly conduct may come out below nothing.
+
+With the derivatives J of the readings, in standard deviations of an ADC step's error, a step is (J'J + w)^-1 J' r: what
+the readings determine follows them, and the rest stays within its range. For errors that are c times as large, the
+covariance of the shares is (J'J / c^2 + w)^-1. One decomposition J'J = V diag(l) V' serves the steps and all c. What
+derivatives leave out is computed by the model along the columns of V.
 
 The derivatives are a matrix on small arrays, and on others a diagonal with two numbers for each line
 (:mod:`._node_blocks`). A frame takes at most a fixed number of steps and of new derivatives.
@@ -28,7 +36,7 @@ from .._grid import exact_ports
 from .._parts import LEAST_SHORT_OHM
 from ._answers import several_answers
 from ._known_board import KnownBoard
-from ._law_kernels import ALIKE, BY_NOISE, BY_STEPS, TINY
+from ._law_kernels import ALIKE, BY_STEPS, TINY
 from ._live_reading import (
     DISTURBED,
     HIDDEN,
@@ -40,154 +48,116 @@ from ._live_reading import (
     ValidityRule,
 )
 from ._measured import constants_of
-from ._node_blocks import NodeBlocks
+from ._node_blocks import WITHIN, NodeBlocks
 from ._sheet_model import SheetModel
 from ._usual_fits import (
-    FAR,
-    HARDLY_KNOWN,
+    LARGE,
     NO_FIT,
     SETTLED,
     SHORT_SHARE,
     SMALL,
-    STRIDE,
     UsualFits,
-    each_distance,
-    each_tied,
+    changes_of,
+    hold_lines,
+    moved_by,
+    shares_of,
     state_fitted,
 )
 
-STEPS, FIRST_STEPS = 5, 60
+STEPS, FIRST_STEPS = 6, 60
 """evaluations of the model in one frame, and in the first one of all"""
-RENEWALS, FIRST_RENEWALS = 2, 20
+RENEWALS, FIRST_RENEWALS = 3, 20
 """new derivatives in one frame, and in the first one of all"""
 LARGEST_MATRIX = 4096
 """cells up to which a matrix of all readings by all cells is made: 0.3 GB"""
 MOST_BESIDE = 256
 """cells up to which they are one beside shorts and cells that nothing reads, which no structure fits"""
 _SMALL = 100  # cells up to which the derivatives are a matrix
-_PRIOR = 3.0  # standard deviation of a logarithm before anything is read: a factor of 20
 _ALIKE_ERRORS = 20.0  # inverse of the relative change of the readings' errors up to which covariances are alike
-_GAINS = 0.9  # misfit after a step over the one before, from which on steps bring nothing more
-_FITS, _MISFIT = 0.8, 8.0  # half steps: by rounding alone, no cells give these readings
-_NEAR = 0.02  # change of a logarithm for which new derivatives are alike
-_DAMPED, _UNDAMPED, _MORE_DAMPED = 0.01, 1e-3, 5.0  # first, least and times the damping after steps that lead away
+_FITS, _MISFIT = 0.5, 8.0  # half steps and noise: by rounding alone, and from which on no cells give these readings
+_NEAR = 0.04  # change of the shares, over the largest one that derivatives serve, for which new ones are alike
 _SLOW = 0.2  # length of a step over the one before, above which derivatives are to blame
-_STEEPER = 3.0  # largest ratio of slopes by which derivatives are adapted
+_PROGRESS = 0.7  # misfit at the end of a frame over that at its beginning, above which steps lead nowhere
+_SHORTER, _LONGER = 0.2, 3.0  # limit of a step over one that leads away, and over the limit of one that does not
+_STUCK = 1e-9  # limit below which they have come to their end
+_MORE_DAMPING, _MOST_DAMPING = 10.0, 1e3  # times the damping until a step is short enough; most over the largest root
 _JUMP = 20.0  # half steps from which on closed formulas may be a nearer start
-_LEAST_READING = 0.03  # half steps: reading of the least conductance alone; below, nothing would lead back
-_LARGEST = 50.0  # logarithm that is as good as infinite
-_AS_SHORT = 1e3  # wires of a cell over its own resistance, from which on no reading tells it from a short
+_LEAST_READING = 0.03  # half steps: reading of the least conductance of cells behind a break
+_TIED = 0.5  # share from which on a cell may tie lines as a short does
+_LEAST_BEHIND = 0.0001  # resistance that a cell sees of its lines, over the reading's resistor
+_LEAST = 1e-18  # S: a cell's resistance has to be a number
+_AS_SHORT, _SHORT = 1e5, 1e6  # wires of a cell over its own resistance, and S, from which on it is as good as a short
 _TIE = 0.02  # cell over the reference resistor, below which it ties lines to each other
 _NO_CELLS = "no cell resistances give these readings; check that the design is that of the board"
-_MOST_BENT = 1.5  # growth of an effect over the linear one, from which on a cell's size is open
-_OPEN_SIZE = 3.0  # most by which a conductance may be larger, from which on the scale of its column is open
-_BESIDE = 0.01  # conductance over the largest one of a column, from which on a cell of unknown size counts beside it
-_OPENS = 0.1  # conductance of cells of unknown size over that of their column's end; derivatives leave its square out
-_TIES = 0.1  # share of a row's drive that a cell may take, from which on it ties the row to its column
-_MOST_TIED = 3  # cells whose intervals are gone through, corner by corner
+_MOST_UNREAD, _MOST_TIED = 3, 8  # cells whose intervals are gone through, by all corners and by the outermost ones
 _PATH = 4  # points on the way of a cell of unknown size to a short
-_CORNER_STEPS, _CORNER_STEP = 8, 0.02  # steps to the cells at a corner, and change of a logarithm in the last one
-_TIED_STD = 0.4  # of the logarithm of such a cell: not valid, but derivatives are made anew when it moves
-_TIED_MOVES = 2.0  # most by which it may have moved by then
-_POWERS = 8  # iterations to the error by which cells together tie their lines most
-_SWING, _SINGLY = 0.3, 2.0  # of a logarithm: up to which derivatives hold, and from which on a cell's size is open
+_BESIDE_STEPS, _BESIDE_STEP = 10, 0.01  # steps to the others beside it, and relative change of shares in the last one
+_SHARE_BESIDE = (
+    0.3  # share of which that counts beside several cells, at whose corners small ones are hardly determined
+)
+_BESIDE_SLOW = 0.5  # of a step's length over the one before, above which derivatives are made anew
+_SWING = 0.07  # of a share, up to which derivatives hold
+_MOST_AXES = 6  # of the covariance along which the model is asked
+_SLOWEST = 0.9  # ratio of two steps back to the readings, from which on they do not end
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
 _CONTRACTS = 0.5  # factor of a map that surely has one fixed point, with room for derivatives that change
 _CALM = 3  # frames by the same derivatives, after which those of many cells are worth a matrix
 _TYPICAL = 1e-5  # S, of a cell if no reading shows a conductance
-_NOTHING = np.empty((0, 0))
-
-
-class _Spread(NamedTuple):
-    """What errors of the readings leave open of n logarithms."""
-
-    std: FloatArray
-    """(n,) standard deviations; infinite where derivatives do not tell"""
-    by_derivatives: FloatArray
-    """(n,) the same by derivatives alone: finite, for steps on the way"""
-    solve: Callable[[FloatArray], FloatArray] | None
-    """from readings (n,) in V to changes (n,) of the logarithms of cells that may have any size; None: not made"""
-    follow: FloatArray | None = None
-    """(n, n) the matrix of ``solve``, transposed, where it was made"""
 
 
 class _Linear(NamedTuple):
     """Derivatives and their regularised inverse at some cells; n = N M, flattened."""
 
-    log: FloatArray
-    """(n,) logarithms of the conductances"""
-    solve: Callable[[FloatArray, float], FloatArray]
-    """from readings (n,) in V to changes (n,) of the logarithms, by a factor of damping (Marquardt 1963)"""
-    slope: FloatArray
-    """(n,) 1/V, of each logarithm by its own reading if the cell were alone"""
-    spread_at: Callable[[float], _Spread]
-    """by errors of the readings so many times those of ADC steps"""
+    conductance: FloatArray
+    """(n,) S of the cells"""
+    share: FloatArray
+    """(n,) of the cells"""
     behind: FloatArray
-    """(n,) ohm, that each cell sees of its lines where nothing drives them"""
-    known: dict[float, _Spread]
-    """results of ``spread_at``"""
+    """(n,) ohm, that each cell sees of its lines"""
+    solve: Callable[[FloatArray, float], FloatArray]
+    """from readings (n,) in V to changes (n,) of the shares, damped if they are longer than a limit (Levenberg 1944)"""
+    std_at: Callable[[float], FloatArray]
+    """(n,) standard deviations of the shares, by errors of the readings so many times those of ADC steps"""
+    beyond_at: Callable[[float], FloatArray]
+    """(n,) largest changes of the shares by what derivatives leave out, likewise"""
+    known: dict[tuple[Callable[[float], FloatArray], int], FloatArray]
+    """results of these"""
     inverse: FloatArray | None = None
     """(n, n) the matrix of ``solve``, transposed, where it was made"""
     amplified: float = inf
     """largest sum of the derivatives of a logarithm by those of all readings, where several answers are possible"""
 
-    def spread(self, coarser: float) -> _Spread:
-        """The same, computed once for errors that are nearly alike."""
-        kept = round(_ALIKE_ERRORS * np.log(coarser))
+    def std(self, coarser: float) -> FloatArray:
+        """The same as ``std_at``, computed once for errors that are nearly alike; so too the next one."""
+        return self._once(self.std_at, coarser)
+
+    def beyond(self, coarser: float) -> FloatArray:
+        return self._once(self.beyond_at, coarser)
+
+    def _once(self, of_errors: Callable[[float], FloatArray], coarser: float) -> FloatArray:
+        kept = of_errors, round(_ALIKE_ERRORS * np.log(coarser))
         if kept not in self.known:
-            self.known[kept] = self.spread_at(coarser)
+            self.known[kept] = of_errors(coarser)
         return self.known[kept]
 
-    def std(self, coarser: float) -> FloatArray:
-        """(n,) standard deviations of the logarithms."""
-        return self.spread(coarser).std
-
-    def of_steps(self, coarser: float) -> FloatArray:
-        """(n,) the same, by derivatives where these do not tell: steps end there, too."""
-        spread = self.spread(coarser)
-        return np.where(np.isfinite(spread.std), spread.std, spread.by_derivatives)
-
-    def left(self, apart: FloatArray, coarser: float) -> FloatArray:
-        """(n,) change of the logarithms by readings (n,) in V that are left, if hardly known cells follow them."""
-        solve = self.spread(coarser).solve
-        return np.zeros(len(apart)) if solve is None else solve(apart)
-
-    def distance(self, log: FloatArray, std: FloatArray) -> FloatArray:
-        """(n,) change of the logarithms since then, of which their own errors count only as they tie lines."""
-        by = np.empty(len(log))
-        each_distance.unchecked(log, self.log, std, self.behind, by)
+    def changes(self, conductance: FloatArray, std: FloatArray) -> FloatArray:
+        """(n,) change of the shares since then, over the largest one for which the derivatives serve."""
+        by = np.empty(len(std))
+        changes_of.unchecked(conductance, self.share, self.behind, std, by)
         return by
 
-    def tied(self, one: FloatArray, other: FloatArray) -> FloatArray:
-        """(n,) by how much cells tie their lines at ``other`` logarithms than at ``one``."""
-        by = np.empty(len(one))
-        each_tied.unchecked(one, other, self.behind, by)
-        return by
+    def moved(self, conductance: FloatArray, step: FloatArray, coarser: float, most: FloatArray) -> FloatArray:
+        """(n,) S, cells whose shares have changed by a ``step``; at most ``most`` (N, M)."""
+        there = np.empty(most.shape)
+        moved_by.unchecked(conductance, step, self.behind, self.std(coarser), most.ravel(), there.ravel())
+        hold_lines.unchecked(there)
+        return there.ravel()
 
-
-class _Corners(NamedTuple):
-    """What cells of unknown size that tie lines leave of the others; arrays are (n,)."""
-
-    log: FloatArray
-    """logarithms of the conductances at which it was found"""
-    tied: BoolArray
-    """the cells of unknown size"""
-    read: FloatArray
-    """1 for readings that count"""
-    least: FloatArray
-    """logarithms at which their intervals begin"""
-    coarser: float
-    """errors of the readings over those of ADC steps"""
-    std: FloatArray
-    """standard deviations of the logarithms"""
-
-    def serve(self, log: FloatArray, tied: BoolArray, read: FloatArray, least: FloatArray, coarser: float) -> bool:
-        """Whether they do at other cells, whose intervals begin at ``least``."""
-        if not np.array_equal(tied, self.tied) or not np.array_equal(read, self.read) or coarser > self.coarser:
-            return False
-        known = ~tied & ((self.std <= HARDLY_KNOWN) | np.isinf(self.std))
-        far = bool((np.abs(log - self.log)[known] > FAR).any())
-        return not far and bool((least[tied] >= self.least[tied]).all())
+    def shares(self, conductance: FloatArray) -> FloatArray:
+        """(n,) of conductances (n,) in S."""
+        shares = np.empty(len(conductance))
+        shares_of.unchecked(conductance, self.behind, shares)
+        return shares
 
 
 class FitLive:
@@ -228,22 +198,22 @@ class FitLive:
         at_ends = np.abs(board.circuit.ideal_volts(board, board.row_ohms[:, :1] + board.column_lead) - board.level)
         self._beyond = np.where(self._gone | board.circuit.virtual_ground, inf, at_ends)  # V, no cells read more
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
-        self._least = np.log(_LEAST_READING * self._half_step * per_volt).ravel()
-        most = _AS_SHORT / (self._leads + LEAST_SHORT_OHM)
+        self._open = (_LEAST_READING * self._half_step * per_volt).ravel()  # S, as good as open
+        most = np.minimum(_AS_SHORT / (self._leads + LEAST_SHORT_OHM), _SHORT)
         if least_ohm:
             most = np.where(self._hidden, 1.0 / least_ohm, most)
-        self._most = np.log(most).ravel()
+        self._most = most
         self._several = several_answers(board) and not board.circuit.virtual_ground
         of_row = board.shape[1] / least_ohm if least_ohm else inf
         self._least_ohm = least_ohm
         self._lost = float(np.max(known.lines.to_driver)) * of_row  # share of a drive, at most
-        self._log: FloatArray | None = None
+        self._conductance: FloatArray | None = None
         self._linear: _Linear | None = None
         self._read: FloatArray = np.ones(cells)
-        self._pinned: FloatArray = np.zeros(board.shape)
+        self._pinned: FloatArray = np.zeros(cells)
         self._wide = False
-        self._corners: _Corners | None = None
-        self._damping, self._astray, self._in_vain, self._begun = 0.0, False, 0, False
+        self._longest, self._gains = inf, True
+        self._astray, self._in_vain, self._begun = False, 0, False
         self._still = False
         self.usual: Callable[[Readings], Measurement | None] | None = None
         self._calm = 0
@@ -272,7 +242,7 @@ class FitLive:
         # Several cells of unknown size may join lines whose readings are then alike, whatever the other cells are.
         unsized = np.count_nonzero(unread & ~self._hidden)
         several = unsized + bool(self._hidden.any()) > 1 and (
-            unsized > _MOST_TIED or self._cells > _SMALL or bool(self._hidden.any()) or self._sheet is not None
+            unsized > _MOST_UNREAD or self._cells > _SMALL or bool(self._hidden.any()) or self._sheet is not None
         )
         large = not small and bool(unread.any())
         wide = self._nodes is not None and bool(short.any())  # beyond the structure of the lines
@@ -284,15 +254,22 @@ class FitLive:
         read: FloatArray = np.where(unread.ravel(), 0.0, 1.0)
         if wide != self._wide or (read != self._read).any():
             self._linear = None
-        self._wide, self._read, lowest = wide, read, self._least.reshape(self._shape)
-        self._pinned = np.where(unread & ~self._hidden, self._closed_start(volts.ravel()).reshape(self._shape), lowest)
-        found = self._fit(volts.ravel(), hypot(1.0, noise / self._std), start)
+        self._wide, self._read = wide, read
+        self._pinned = np.where((unread & ~self._hidden).ravel(), self._closed_start(volts.ravel()), self._open)
+        coarser = hypot(1.0, noise / self._std)
+        found = self._fit(volts.ravel(), coarser, start)
         if found is None:
             # Where steps have come to their end beside cells of unknown size, no further frame brings more.
             beside = short.any() or (self._still and unread.any())
             return self._nothing(frame, DISTURBED if beside else UNSETTLED, unread | short)
-        log, std, left, misfit = found
-        return self._reading(frame, log, std, misfit, self._spread(log, unread) + np.abs(left), unread)
+        conductance, misfit, left = found
+        assert self._linear is not None
+        std = self._linear.std(coarser)
+        try:
+            more = left + self._beside(conductance, unread.ravel(), coarser, self._linear, std)
+        except np.linalg.LinAlgError:
+            more = np.full(self._cells, inf)
+        return self._reading(frame, conductance, coarser, misfit, more, unread)
 
     def unread(self, frame: Readings) -> BoolArray:
         """As :class:`._usual_fits.Fit`."""
@@ -307,13 +284,13 @@ class FitLive:
     def bounds(self) -> tuple[FloatArray, ...]:
         """As :class:`._usual_fits.Fit`."""
         wide = np.full(self._shape, inf) if self._nodes is None else SHORT_SHARE * self._short
-        least, most = self._least.reshape(self._shape), self._most.reshape(self._shape)
-        return self._short, least, most, self._beyond, wide
+        return self._short, self._most, self._beyond, wide
 
+    @np.errstate(divide="ignore", invalid="ignore", over="ignore")
     def kept(self, noise: float) -> tuple[FloatArray, ...] | None:
         """As :class:`._usual_fits.Fit`."""
         linear = self._linear
-        if linear is None or self._log is None or self._astray or not self._read.all():
+        if linear is None or self._conductance is None or self._astray or not self._read.all():
             return None
         if linear.inverse is None:
             if self._nodes is not None and self._calm < _CALM:
@@ -321,61 +298,89 @@ class FitLive:
             linear = self._linear = self._with_inverse(linear)
             if linear is None or linear.inverse is None:
                 return None
-        spread = linear.spread(hypot(1.0, noise / self._std))
-        follow = _NOTHING
-        if spread.solve is not None and (spread.std > HARDLY_KNOWN).any():
-            follow = linear.inverse if spread.follow is None else spread.follow
-        return self._log, linear.log, linear.behind, linear.inverse, spread.std, follow
+        coarser = hypot(1.0, noise / self._std)
+        found = linear.std(coarser), linear.beyond(coarser)
+        return self._conductance, linear.share, linear.behind, linear.inverse, *found
 
-    def follow(self, log: FloatArray) -> FloatArray:
+    def follow(self, conductance: FloatArray) -> FloatArray:
         """As :class:`._usual_fits.Fit`."""
-        self._log, self._in_vain = log, 0
-        return log
+        self._conductance, self._in_vain = conductance, 0
+        return conductance
 
-    def _spread(self, log: FloatArray, unread: BoolArray) -> FloatArray:
-        """Change (n,) of the logarithms over all conductances of the cells ``unread``, from their least to a short.
+    def _beside(
+        self, conductance: FloatArray, unread: BoolArray, coarser: float, begun_by: _Linear, std: FloatArray
+    ) -> FloatArray:
+        """Changes (n,) of the shares while the cells ``unread`` (n,) have any conductance, from their least to a short.
 
-        The others follow their readings, by steps with the derivatives at hand, through points at which the cell ties
-        its lines by equal differences; infinite where steps do not end. Between points they may be beyond them by an
-        eighth of their second differences.
+        One cell, or those behind a break, go through points at equal distances of the share; between these the others
+        may be beyond them by an eighth of their second differences. Several go through the corners of their intervals,
+        many only through those where one or all are shorts, and the standard deviations (n,) there count in excess of
+        ``std``. Where steps do not end, as many again count.
+
+        Raises:
+            numpy.linalg.LinAlgError: parts of the grid have no connection.
+
         """
-        if not unread.any() or np.count_nonzero(unread & ~self._hidden) > 1:  # several: by their corners
-            return np.zeros(log.shape)
-        assert self._linear is not None
-        volts, known = self._at(log), self._linear.std(1.0) <= HARDLY_KNOWN
-        cell, behind = np.flatnonzero(unread), self._linear.behind
-        first, last = (1.0 / (1.0 + np.exp(-ends[cell]) / behind[cell]) for ends in (log, self._most))
-        path, most = [log], np.zeros(log.shape)
-        for part in range(1, _PATH + 1):
-            there, share = path[-1].copy(), first + (last - first) * part / _PATH
-            there[cell] = np.log(share / ((1.0 - share) * behind[cell])) if part < _PATH else self._most[cell]
-            for _ in range(_CORNER_STEPS):
-                step = self._linear.solve((volts - self._at(there)) * self._read, 0.0)
-                there = there + np.clip(step, -STRIDE, STRIDE)
-                left = np.abs(step)
-                if left[known].max(initial=0.0) < _CORNER_STEP:
+        cells = np.flatnonzero(unread)
+        most = np.zeros(len(conductance))
+        if not len(cells):
+            return most
+        volts, begun = self._at(conductance), begun_by.shares(conductance)
+        first, last = begun[cells], begun_by.shares(self._most.ravel())[cells]
+        on_path = len(cells) == 1 or bool(self._hidden.any())
+        each = [(part / _PATH,) * len(cells) for part in range(1, _PATH + 1)] if on_path else []
+        there, path, linear = conductance, [begun], begun_by
+        if len(cells) <= _MOST_UNREAD:
+            corners = list(product((0.0, 1.0), repeat=len(cells)))
+        else:
+            corners = [*map(tuple, np.eye(len(cells))), (1.0,) * len(cells)]
+        for part in each or corners:
+            share = first + (last - first) * np.array(part)
+            held = np.minimum(share / (1.0 - share) / begun_by.behind[cells], self._most.ravel()[cells])
+            there, linear = (there, linear) if on_path else (conductance, begun_by)
+            there, before, step, anew = there.copy(), inf, begun, on_path and part[0] == 1.0
+            there[cells] = held
+            if anew:  # derivatives beside an open cell may tell nothing of those beside a short
+                linear = self._renewed(there, coarser)
+            for _ in range(_BESIDE_STEPS):
+                step = linear.solve((volts - self._at(there)) * self._read, inf)
+                length = float(np.abs(step).max())
+                if not (anew or length <= _BESIDE_SLOW * before):
+                    linear, before, anew = self._renewed(there, coarser), inf, True
+                    continue
+                there, before = linear.moved(there, step, coarser, self._most), length
+                there[cells] = held
+                enough = _BESIDE_STEP * np.maximum(np.abs(begun), 0.0 if on_path else _SHARE_BESIDE)
+                if (np.abs(step) <= np.maximum(SETTLED * std, enough)).all():
                     break
-            else:
-                return np.full(log.shape, inf)
-            path.append(there)
-            most = np.maximum(most, np.abs(there - log) + left)
-        most += np.abs(np.diff(path, 2, axis=0)).max(axis=0) / 8.0
+            else:  # some are hardly determined, or this is beyond what the readings allow
+                step *= _BESIDE_STEPS
+            path.append(begun_by.shares(there))
+            change = np.abs(path[-1] - begun) + np.abs(step)
+            if not on_path:
+                change += BY_STEPS * np.maximum(self._renewed(there, coarser).std(coarser) - std, 0.0)
+            most = np.maximum(most, change)
+        if on_path:
+            most += np.abs(np.diff(path, 2, axis=0)).max(axis=0) / 8.0
         return most
 
     def _closed_start(self, volts: FloatArray) -> FloatArray:
-        """Logarithms (n,) as if each cell were alone."""
+        """S (n,), as if each cell were alone."""
         signal = volts.reshape(self._shape) - self._board.level
         apparent = self._board.circuit.apparent_conductance(self._board, signal)
         apparent = cell_alone(self._board, apparent, self._shunt)
         conducting = apparent[apparent > 0.0]
         typical = float(np.median(conducting)) if conducting.size else _TYPICAL
-        alone = np.log(np.where(apparent > 1e-3 * typical, apparent, 0.1 * typical)).ravel()
-        start: FloatArray = np.minimum(alone, self._most)
+        alone = np.where(apparent > 1e-3 * typical, apparent, 0.1 * typical).ravel()
+        start: FloatArray = np.minimum(alone, self._most.ravel())
         return start
 
-    def _at(self, log: FloatArray) -> FloatArray:
-        """V (n,), readings of the model."""
-        volts: FloatArray = self._model(np.exp(-log).reshape(self._shape)).ravel()
+    def _at(self, conductance: FloatArray) -> FloatArray:
+        """V (n,), readings of the model at conductances (n,) in S; not finite where there are none."""
+        try:
+            volts: FloatArray = self._model(1.0 / conductance.reshape(self._shape)).ravel()
+        except (SolverError, np.linalg.LinAlgError):
+            return np.full(len(conductance), inf)
         return volts
 
     def _misfit(self, apart: FloatArray, coarser: float) -> float:
@@ -385,350 +390,246 @@ class FitLive:
 
     def _fit(
         self, volts: FloatArray, coarser: float, start: FloatArray | None
-    ) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
-        """Logarithms (n,), their standard deviation by ADC steps, change that is left, (n,) each, and the misfit.
+    ) -> tuple[FloatArray, float, FloatArray] | None:
+        """S (n,) that give the readings, whose errors are ``coarser`` than steps; misfit, and changes that are left.
 
         None: not settled.
         """
         steps, renewals = (STEPS, RENEWALS) if self._begun else (FIRST_STEPS, FIRST_RENEWALS)
         self._begun, self._still = True, False
-        signal = volts.reshape(self._shape) - self._board.level
-        slope = np.abs(self._board.circuit.log_conductance_slope(self._board, signal)).ravel()
         pinned = self._read == 0.0
 
-        def within(log: FloatArray) -> FloatArray:
-            return np.where(pinned, self._pinned.ravel(), np.clip(log, self._least, self._most))
+        def off(conductance: FloatArray) -> FloatArray:
+            return (volts - self._at(conductance)) * self._read
 
-        def off(log: FloatArray) -> FloatArray:
-            return (volts - self._at(log)) * self._read
-
-        starts = [within(self._closed_start(volts))]
+        starts = [self._closed_start(volts)]
         if start is not None:
-            starts.insert(0, within(np.log(np.maximum(start, 1e-30)).ravel()))
+            starts.insert(0, np.clip(start, _LEAST, self._most).ravel())
+        if self._conductance is not None:
+            starts.insert(0 if self._gains else len(starts), self._conductance)
+        starts = [np.where(pinned, self._pinned, each) for each in starts]
+        if not self._gains:
+            self._longest, self._linear = inf, None
+        here = starts[0]
+        apart = off(here)
+        misfit = self._misfit(apart, coarser)
+        for other in starts[1:] if self._gains and not misfit <= _JUMP else ():
+            steps -= 1
+            if not misfit <= self._misfit(off(other), coarser):
+                here, apart = other, off(other)
+                misfit = self._misfit(apart, coarser)
+        settled, before, begun, left, at_first = False, inf, self._linear, np.zeros(len(here)), misfit
         try:
-            log = starts.pop(0) if self._log is None else within(self._log)
-            apart = off(log)
-            misfit = self._misfit(apart, coarser)
-            for other in starts if misfit > _JUMP else ():
-                other_apart = off(other)
-                steps -= 1
-                if self._misfit(other_apart, coarser) < misfit:
-                    log, apart, misfit = other, other_apart, self._misfit(other_apart, coarser)
-            still, before, begun, gains = False, inf, self._linear, True
-            while True:
+            while np.isfinite(misfit):
                 linear = self._linear
-                if linear is None or linear.distance(log, linear.of_steps(coarser)).max() > FAR:
+                change = inf if linear is None else float(linear.changes(here, linear.std(coarser)).max())
+                if linear is None or change > 1.0:
                     if renewals == 0:
                         break
-                    linear, renewals = self._renewed(log), renewals - 1
-                    self._linear = linear
-                std = linear.of_steps(coarser)
-                step = within(log + self._step(linear, apart, slope)) - log
-                loose = (std > HARDLY_KNOWN) & (linear.tied(log, log + step) <= FAR)
-                if misfit <= _FITS:  # cells that readings hardly tell would hop, and carry the others with them
-                    step = np.where(loose, 0.0, step)
-                small = (np.abs(step) <= np.maximum(SETTLED * std, SMALL)) | loose
-                if small.all() and (misfit <= _FITS or not gains):
-                    still = misfit <= _FITS or self._damping < _UNDAMPED
-                    if still:
-                        break
-                length = float(np.abs(step).max())
-                near = linear.distance(log, std).max() <= _NEAR
-                if length > _SLOW * before and not near and renewals and misfit > _FITS:
-                    self._linear = None
-                    before = inf
+                    self._linear = linear = self._renewed(here, coarser)
+                    renewals, change = renewals - 1, 0.0
+                step = linear.solve(apart, inf)
+                step[pinned] = 0.0
+                left, length = np.abs(step), float(np.abs(step).max())
+                settled = bool((left <= np.clip(SETTLED * linear.std(coarser), SMALL, LARGE)).all())
+                if settled:
+                    break
+                if length > self._longest:
+                    step = linear.solve(apart, self._longest)
+                    step[pinned] = 0.0
+                if length > _SLOW * before and change > _NEAR and renewals:
+                    self._linear, before = None, inf
                     continue
+                trial = linear.moved(here, step, coarser, self._most)
+                ahead, steps = off(trial), steps - 1
+                while not ahead @ ahead < apart @ apart and steps > 0 and not (change > _NEAR and renewals):
+                    self._longest = _SHORTER * float(np.abs(step).max())
+                    step = linear.solve(apart, self._longest)
+                    step[pinned] = 0.0
+                    trial = linear.moved(here, step, coarser, self._most)
+                    ahead, steps = off(trial), steps - 1
+                if ahead @ ahead < apart @ apart:
+                    here, apart, before = trial, ahead, length
+                    misfit = self._misfit(apart, coarser)
+                    self._longest = self._longest * _LONGER if self._longest < 1.0 else inf
+                elif change > _NEAR and renewals:
+                    self._linear, before = None, inf
                 if steps <= 0:
                     break
-                steps -= 1
-                trial = within(log + step)
-                ahead = off(trial)
-                now = self._misfit(ahead, coarser)
-                if now > max(misfit, _FITS) and ahead @ ahead > apart @ apart:
-                    if not near and renewals:
-                        self._linear = None
-                    else:
-                        self._damping = max(_MORE_DAMPED * self._damping, _DAMPED)
-                    before = inf
-                    continue
-                self._damping = self._damping / _MORE_DAMPED if self._damping > _UNDAMPED else 0.0
-                gains = now < _GAINS * misfit
-                if not (gains or near) and renewals:
-                    self._linear, gains = None, True
-                log, apart, misfit, before = trial, ahead, now, length
         except np.linalg.LinAlgError:
-            self._log = self._linear = None
+            self._conductance = self._linear = None
             return None
-        settled = still and (misfit <= _FITS or (misfit <= NO_FIT and self._only_loose(apart, coarser)))
+        self._still = settled or self._longest < _STUCK
+        # Where readings hardly tell, steps need not end: what they have left is part of the uncertainty.
+        ended, settled = settled, (settled or misfit <= _FITS) and misfit <= NO_FIT and self._linear is not None
         if self._sheet is not None and settled:
-            settled = self._follow_sheet(log, coarser)
-        self._log, self._astray, self._still = log, not settled, still
+            settled = self._follow_sheet(here, coarser)
+        self._conductance, self._astray = here, not settled
+        # Cells from which steps lead nowhere are left for those of the closed formulas, from which they mostly do.
+        self._gains = settled or not self._gains or misfit < _PROGRESS * at_first
         self._calm = self._calm + 1 if settled and self._linear is begun else 0
-        self._in_vain = self._in_vain + 1 if misfit > _MISFIT else 0
+        self._in_vain = self._in_vain + 1 if not misfit <= _MISFIT else 0
         if self._in_vain > _OFTEN:
             if not self._in_vain & (self._in_vain - 1):  # begin anew, each time with twice as many frames
-                self._log = None
+                self._conductance = None
             # Cells of a few ohm tie lines to each other: then other cells, far from these, may give the readings.
-            ties = not self._read.all() or float(np.exp(-log).min()) < _TIE * float(self._board.reference.min())
-            if still and self._in_vain > 3 * _OFTEN and not ties:
+            ties = not self._read.all() or float(here.max()) * _TIE * float(self._board.reference.min()) > 1.0
+            if self._still and self._in_vain > 3 * _OFTEN and not ties:
                 raise SolverError(_NO_CELLS)
-        if not settled or self._linear is None:
-            return None
-        moved = np.exp(np.minimum(np.abs(log - self._linear.log), 1.0))
-        return log, self._linear.std(coarser) * moved, self._linear.left(apart, coarser), misfit
+        return (here, misfit, np.zeros(len(left)) if ended else left) if settled else None
 
-    def _only_loose(self, apart: FloatArray, coarser: float) -> bool:
-        """Whether what is ``apart`` (n,) in V is hardly known cells' alone, and leaves the others where they are.
-
-        What a cell at a limit leaves of other readings is not: it stands elsewhere in its interval.
-        """
-        if self._linear is None or not self._read.all():
-            return False
-        std = self._linear.std(coarser)
-        left = np.abs(self._linear.left(apart, coarser)) > np.maximum(SETTLED * std, SMALL)
-        return not (left & (std <= HARDLY_KNOWN)).any()
-
-    def _follow_sheet(self, log: FloatArray, coarser: float) -> bool:
+    def _follow_sheet(self, conductance: FloatArray, coarser: float) -> bool:
         """Solve the continuous sheet anew if its cells have moved; False: the fit goes on in the next frame."""
         assert self._sheet is not None
         assert self._linear is not None
-        if self._sheet.serves(log, SIGMAS * self._linear.std(coarser)):
+        log = np.log(np.maximum(conductance, _LEAST))
+        share = self._linear.shares(conductance)
+        relative = self._linear.std(coarser) / np.maximum(share * (1.0 - share), TINY)
+        if self._sheet.serves(log, SIGMAS * relative):
             return True
         self._sheet.solve(log)
         return False
 
-    def _step(self, linear: _Linear, apart: FloatArray, slope: FloatArray) -> FloatArray:
-        """Change (n,) of the logarithms. A cell's own nonlinearity is known in closed form, and scales its reading.
-
-        So scaled, a step may lead away from the readings however short it is: damped ones follow the derivatives.
-        """
-        if self._damping == 0.0:
-            both = (linear.slope > 0.0) & (slope > 0.0)
-            steeper = np.divide(slope, linear.slope, out=np.ones(len(slope)), where=both)
-            apart = apart * np.clip(steeper, 1.0 / _STEEPER, _STEEPER)
-        return np.clip(linear.solve(apart, self._damping), -STRIDE, STRIDE)
-
-    def _renewed(self, log: FloatArray) -> _Linear:
-        """Make derivatives at these cells.
+    def _renewed(self, conductance: FloatArray, coarser: float) -> _Linear:
+        """Make derivatives at these cells (n,) in S, for errors so many times those of ADC steps.
 
         Raises:
             numpy.linalg.LinAlgError: parts of the grid have no connection.
 
         """
-        from scipy.linalg.lapack import dpotrs
-
-        cells = self._cells_at(log)
-        volts = self._quick(cells)
-        slope = np.abs(self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)).ravel()
+        cells, behind = 1.0 / conductance.reshape(self._shape), self._behind(conductance)
+        share = conductance * behind / (1.0 + conductance * behind)
+        per_share = self._per_share(cells, behind)
         if self._nodes is not None and self._read.all() and not self._wide:
-            by_nodes = self._nodes.at(cells, np.full(self._shape, _PRIOR))
-            std = by_nodes.std.ravel()
+            by_nodes = self._nodes.at(cells, per_share)
+            std, nothing = by_nodes.std.ravel(), np.zeros(len(share))
+            if self._cells > MOST_BESIDE or not (BY_STEPS * coarser * std > _SWING).any():
+                at = conductance, share, behind, by_nodes.solve
+                return _Linear(*at, lambda coarser: coarser * std, lambda coarser: nothing, {})
+        jacobian = self._jacobian(cells, per_share)
+        roots, axes = _axes(jacobian)
 
-            def spread(coarser: float) -> _Spread:
-                return _Spread(coarser * std, coarser * std, by_nodes.solve)
-
-            return _Linear(log, by_nodes.solve, slope, spread, self._behind(cells), {})
-        jacobian, factor = self._normal(cells)
-
-        def solve(apart: FloatArray, damping: float = 0.0) -> FloatArray:
-            used = _factored(jacobian, damping) if damping else factor
-            step: FloatArray = dpotrs(used, jacobian.T @ (apart / self._std), lower=1)[0]
+        def solve(apart: FloatArray, longest: float) -> FloatArray:
+            along, damping = axes.T @ (jacobian.T @ (apart / self._std)), WITHIN
+            step: FloatArray = axes @ (along / (roots + damping))
+            while not float(np.abs(step).max()) <= longest and damping < _MOST_DAMPING * roots[-1]:
+                damping *= _MORE_DAMPING
+                step = axes @ (along / (roots + damping))
             return step
+
+        def std_at(coarser: float) -> FloatArray:
+            std: FloatArray = np.sqrt(axes**2 @ (1.0 / (roots / coarser**2 + WITHIN)))
+            return std
+
+        def beyond_at(coarser: float) -> FloatArray:
+            beyond = self._beyond_linear(made, jacobian, roots, axes, coarser)
+            # A cell between lines that others join may be as large, but ties nothing that is not tied.
+            tied = (share > _TIED) & (share + BY_STEPS * std_at(coarser) + beyond >= 1.0)
+            return np.maximum(beyond, self._beside_tied(made, tied & self._present & (self._read > 0.0), coarser))
 
         amplified = inf
         if self._several and self._read.all():
-            by_logs = jacobian * (self._std / (volts - self._board.level).reshape(-1, 1))
+            by_logs = jacobian * (share * (1.0 - share)) * self._std
+            by_logs /= (self._at(conductance) - self._board.level)[:, None]
             amplified = float(np.abs(np.linalg.inv(by_logs)).sum(axis=1).max())
-        behind = self._behind(cells)
-        return _Linear(
-            log, solve, slope, lambda coarser: self._spread_of(log, jacobian, coarser), behind, {}, None, amplified
-        )
+        made = _Linear(conductance, share, behind, solve, std_at, beyond_at, {}, amplified=amplified)
+        return made
 
-    def _behind(self, cells: FloatArray) -> FloatArray:
-        """Ohm (n,) that each of the cells (N, M) in ohm sees of its lines.
+    def _beyond_linear(
+        self, linear: _Linear, jacobian: FloatArray, roots: FloatArray, axes: FloatArray, coarser: float
+    ) -> FloatArray:
+        """Changes (n,) of the shares by what derivatives leave out, along the longest axes of their covariance.
 
-        What an idle column does without an end matters where rows float: else these hold what it joins.
+        At both ends of an axis, as far as no cell falls below nothing, readings differ from those by the derivatives
+        (n, n), and the cells follow these differences. Axes are independent, so that squares add up. Where steps do not
+        end, as many again count.
         """
-        board = self._board
-        idle_row = 1.0 / board.pull if board.floating else 1.0 / (board.row_lead + LEAST_SHORT_OHM)[:, None]
-        adrift = board.floating and board.circuit.columns_one_by_one(board)
-        end = 0.0 if adrift else 1.0 / (board.circuit.end_resistance(board) + LEAST_SHORT_OHM)
-        conductance = 1.0 / cells
-        along, down = conductance.sum(axis=1, keepdims=True) + idle_row, conductance.sum(axis=0) + end
-        behind: FloatArray = sum(1.0 / np.maximum(of_line - conductance, TINY) for of_line in (along, down))
-        return behind.ravel()
+        swing, conductance = BY_STEPS / np.sqrt(roots / coarser**2 + WITHIN), linear.conductance
+        ends = swing * axes * self._read[:, None]  # cells that are not read go through their own intervals
+        longest = np.argsort(np.abs(ends).max(axis=0))[::-1][:_MOST_AXES]
+        squares, volts = np.zeros(len(roots)), None
+        for axis in longest:
+            along = ends[:, axis]
+            if not float(np.abs(along).max()) > _SWING:
+                break
+            volts = self._at(conductance) if volts is None else volts
+            most = np.zeros(len(roots))
+            for side in (1.0, -1.0):
+                there = linear.moved(conductance, side * along, coarser, self._most)
+                there = np.maximum(there, np.minimum(conductance, _LEAST))
+                read = volts + jacobian @ (linear.shares(there) - linear.share) * self._std
+                steps = []
+                for _ in range(2):
+                    apart = (read - self._at(there)) * self._read / self._std
+                    steps.append(axes @ ((axes.T @ (jacobian.T @ apart)) / (roots + WITHIN * coarser**2)))
+                    there = linear.moved(there, steps[-1], coarser, self._most)
+                first, second = np.abs(steps)
+                slower = float(second.max()) / max(float(first.max()), TINY)
+                further = 1.0 / (1.0 - slower) if slower < _SLOWEST else _BESIDE_STEPS
+                most = np.maximum(most, first + further * second)
+            squares += most**2
+        return np.sqrt(squares)
 
-    def _normal(self, cells: FloatArray, read: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Derivatives (n, n) at cells (N, M) in ohm, in errors of a reading, and their normal matrix, factored.
+    def _beside_tied(self, linear: _Linear, tied: BoolArray, coarser: float) -> FloatArray:
+        """Changes (n,) of the shares, with their errors, where two or more cells ``tied`` (n,) may be complete shorts.
 
-        Raises:
-            numpy.linalg.LinAlgError: the derivatives are not finite.
-
+        As one that ties lines is larger, readings tell less of the cells between these lines. Infinite where more cells
+        may do so than are gone through.
         """
-        read = self._read if read is None else read
-        in_series = 1.0 / (cells + self._board.series_ohms).ravel()
-        jacobian = self._derivatives(cells) * (in_series**2 * cells.ravel() / self._std * read) * read[:, None]
-        return jacobian, _factored(jacobian)
+        count = np.count_nonzero(tied)
+        if count < 2:
+            return np.zeros(len(tied))
+        if count > (_MOST_TIED if self._cells <= _SMALL else _MOST_UNREAD) or self._sheet is not None:
+            return np.full(len(tied), inf)
+        read, self._read = self._read, np.where(tied, 0.0, self._read)
+        try:
+            begun, std = self._renewed(linear.conductance, coarser), linear.std(coarser)
+            beside = self._beside(linear.conductance, tied, coarser, begun, std)
+        except np.linalg.LinAlgError:
+            beside = np.full(len(tied), inf)
+        finally:
+            self._read = read
+        return beside
+
+    def _behind(self, conductance: FloatArray) -> FloatArray:
+        """Ohm (n,) that each of the cells (n,) in S sees of its lines where nothing drives them.
+
+        A row that floats is held by the reading's resistor at most, so that a cell alone on it has a share, too. Lines
+        that shorts join show a cell next to nothing: shares by which readings hardly change are no unknowns.
+        """
+        board, cells = self._board, np.maximum(conductance.reshape(self._shape), 0.0)
+        held = 1.0 / board.pull + 1.0 / board.reference.mean()
+        if not board.floating:
+            held = 1.0 / (board.row_lead + LEAST_SHORT_OHM)
+        end = 1.0 / (board.circuit.end_resistance(board) + LEAST_SHORT_OHM)
+        along = cells.sum(axis=1, keepdims=True) + np.reshape(held, (-1, 1))
+        down = cells.sum(axis=0) + end
+        behind: FloatArray = 1.0 / np.maximum(along - cells, TINY) + 1.0 / np.maximum(down - cells, TINY)
+        floor = _LEAST_BEHIND * float(board.reference.mean())
+        return np.maximum(behind, floor).ravel()
+
+    def _per_share(self, cells: FloatArray, behind: FloatArray) -> FloatArray:
+        """S (N, M) of the crosspoints by the shares of their cells (N, M) in ohm."""
+        alone: FloatArray = (cells / (cells + self._board.series_ohms)) ** 2
+        alone *= (1.0 + behind.reshape(self._shape) / cells) ** 2 / behind.reshape(self._shape)
+        return alone
+
+    def _jacobian(self, cells: FloatArray, per_share: FloatArray) -> FloatArray:
+        """Derivatives (n, n) of readings, in standard deviations of a step's error, by shares; cells (N, M) in ohm."""
+        return self._derivatives(cells) * (per_share.ravel() / self._std * self._read) * self._read[:, None]
 
     def _with_inverse(self, linear: _Linear) -> _Linear | None:
         """The same with the matrix of ``solve``; None where there is none."""
-        from scipy.linalg.lapack import dpotrs
-
+        cells = 1.0 / linear.conductance.reshape(self._shape)
         try:
-            jacobian, factor = self._normal(np.exp(-linear.log).reshape(self._shape))
+            jacobian = self._jacobian(cells, self._per_share(cells, linear.behind))
+            normal = jacobian.T @ jacobian + WITHIN * np.eye(len(jacobian))
+            inverse = np.linalg.solve(normal, jacobian.T / self._std)
         except np.linalg.LinAlgError:
             return None
-        return linear._replace(inverse=np.ascontiguousarray(dpotrs(factor, jacobian.T / self._std, lower=1)[0].T))
+        return linear._replace(inverse=np.ascontiguousarray(inverse.T))
 
-    def _spread_of(self, log: FloatArray, jacobian: FloatArray, coarser: float) -> _Spread:
-        """Standard deviations (n,) of the logarithms with derivatives (n, n) in errors of a reading, ``coarser`` ones.
-
-        Two cells of unknown size that tie lines to each other, or whose readings say no more than a bound, are beyond
-        derivatives. Such cells are moved through their intervals, from corner to corner, while the others follow all
-        other readings. The changes of the others count as errors. Infinite where nothing is known of the others.
-
-        Raises:
-            numpy.linalg.LinAlgError: the derivatives are not finite.
-
-        """
-        std, tied, least, inverse = self._std_within(log, jacobian / coarser, self._read)
-        unread = (self._read == 0.0) & ~self._hidden.ravel()
-        tied |= unread
-        least = np.where(unread, self._pinned.ravel() - _TIED_MOVES, least)
-        places = np.flatnonzero(tied)
-        by_derivatives: FloatArray = np.sqrt(np.einsum("ij,ij->i", inverse, inverse))
-        if len(places) < 2 or not np.isfinite(std).any():
-            std = np.hypot(std, self._beyond_linear(log, inverse, jacobian, coarser))
-            follow = (jacobian @ inverse) @ inverse.T / (coarser**2 * self._std)
-            return _Spread(std, by_derivatives, follow.T.__matmul__, follow)
-        if len(places) > _MOST_TIED or self._cells > _SMALL or self._sheet is not None:
-            return _Spread(np.full(len(std), inf), by_derivatives, None)
-        kept = self._corners
-        if kept is None or not kept.serve(log, tied, self._read, least + _TIED_MOVES, coarser):
-            beside = self._beside_tied(log, places, least, coarser)
-            kept = self._corners = _Corners(log, tied, self._read, least, coarser, beside)
-        std = np.where(tied, _TIED_STD, kept.std * np.exp(np.abs(log - kept.log)))
-        return _Spread(std, by_derivatives, None)
-
-    def _beside_tied(self, log: FloatArray, places: NDArray[np.intp], least: FloatArray, coarser: float) -> FloatArray:
-        """Standard deviations (n,) of the others while cells ``places`` are anywhere from ``least`` (n,) to a short.
-
-        Infinite where the other readings do not determine the others at each corner.
-        """
-        from scipy.linalg.lapack import dpotrs
-
-        volts, read = self._at(log), self._read.copy()
-        read[places] = 0.0
-        shift, most = np.zeros((2, len(log)))
-        try:
-            for ends in product(*zip(least[places], self._most[places], strict=True)):
-                there, step = log.copy(), np.full(len(log), inf)
-                there[places] = ends
-                for _ in range(_CORNER_STEPS):
-                    matrix, factor = self._normal(self._cells_at(there), read)
-                    apart = (volts - self._at(there)) * read
-                    step = dpotrs(factor, matrix.T @ (apart / self._std), lower=1)[0]
-                    step *= min(1.0, STRIDE / max(float(np.abs(step).max()), TINY))
-                    there = np.clip(there + step, self._least, self._most)
-                    there[places] = ends
-                    if float(np.abs(step).max()) < _CORNER_STEP:
-                        break
-                matrix = self._normal(self._cells_at(there), read)[0] / coarser
-                at_corner, others = self._std_within(there, matrix, read, positive=True)[:2]
-                if others.any() or not self._misfit((volts - self._at(there)) * read, coarser) <= _FITS:
-                    return np.full(len(log), inf)
-                shift, most = np.maximum(shift, np.abs(there - log) + np.abs(step)), np.maximum(most, at_corner)
-        except np.linalg.LinAlgError:
-            return np.full(len(log), inf)
-        return most + shift / BY_NOISE
-
-    def _cells_at(self, log: FloatArray) -> FloatArray:
-        """Ohm (N, M)."""
-        cells: FloatArray = np.exp(-np.clip(log, -_LARGEST, _LARGEST)).reshape(self._shape)
-        return cells
-
-    @np.errstate(divide="ignore", invalid="ignore", over="ignore")
-    def _std_within(
-        self, log: FloatArray, jacobian: FloatArray, read: FloatArray, *, positive: bool = False
-    ) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray]:
-        """Standard deviations, cells that may tie lines to each other, and least logarithms, (n,) each; inverse (n, n).
-
-        The inverse times its transpose is the covariance of the logarithms.
-
-        With its wire w a cell conducts between nothing and 1/w, whatever its reading: that is all that is known of it
-        before. In this range readings are nearly linear in D = G / (1 + w G). What else the cell changes grows with G
-        itself, up to a short. Standard deviations are infinite where cells of a column are of unknown size together.
-
-        Args:
-            log: logarithms of the conductances.
-            jacobian: (n, n) derivatives of the readings in their errors.
-            read: (n,) 1 for readings that count, else 0.
-            positive: whether cells are also bounded by their own readings, as no other conducts less than nothing.
-
-        Raises:
-            numpy.linalg.LinAlgError: the derivatives are not finite.
-
-        """
-        from scipy.linalg.lapack import dtrtri
-
-        wire = self._leads.ravel() + LEAST_SHORT_OHM
-        wired = np.exp(log) * wire
-        prior = (1.0 + wired) * np.maximum(1.0 / wired, 1.0) / BY_STEPS
-        square = np.linalg.qr(np.concatenate([jacobian * prior, np.eye(len(log))]), mode="r")
-        inverse, failed = dtrtri(square)
-        if failed or not np.isfinite(inverse).all():
-            raise np.linalg.LinAlgError("derivatives that are not finite")
-        inverse *= prior[:, None]
-        std: FloatArray = np.sqrt(np.einsum("ij,ij->i", inverse, inverse))
-        up = BY_STEPS * std / (1.0 + wired)
-        if positive:
-            up = np.where(read > 0.0, np.minimum(up, _most_by_own(jacobian * (1.0 + wired), up)), up)
-        grown = np.where(up * wired < 1.0, (1.0 + up) / np.maximum(1.0 - up * wired, TINY), inf) - 1.0
-        grown = np.minimum(grown, np.exp(self._most - log) - 1.0) / (BY_STEPS * std)
-        loose = ((grown > _MOST_BENT) | (up > 1.0)) & (read > 0.0) & self._present
-        tied = loose & (wired * (1.0 + up) > _TIES)
-        least = wired / (1.0 + wired) * np.maximum(1.0 - up, 0.0)
-        least = np.maximum(np.log(np.maximum(least / (1.0 - least) / wire, TINY)) - _TIED_MOVES, self._least)
-        conductance, open_size = np.exp(log).reshape(self._shape), (loose & (up > _OPEN_SIZE)).reshape(self._shape)
-        most = np.where(open_size, conductance * (1.0 + up.reshape(self._shape)), 0.0)
-        alike = np.count_nonzero(most > _BESIDE * conductance.max(axis=0), axis=0)
-        alike *= open_size[np.argmax(conductance, axis=0), np.arange(self._shape[1])]
-        alike *= np.linalg.norm(most, axis=0) * self._board.reference > _OPENS  # else the column's end holds its scale
-        if (alike > 1).any():
-            return np.full(len(std), inf), tied, least, inverse
-        bent = np.flatnonzero((grown > 1.0) & (read > 0.0) & self._present)
-        beside = (inverse @ inverse[bent].T) / std[bent] * np.sqrt(grown[bent] ** 2 - 1.0)
-        std = np.sqrt(std**2 + np.einsum("ij,ij->i", beside, beside))
-        return std, tied, least, inverse
-
-    def _beyond_linear(self, log: FloatArray, inverse: FloatArray, jacobian: FloatArray, coarser: float) -> FloatArray:
-        """Standard deviations (n,) by what derivatives leave out, along the error by which cells tie lines most.
-
-        The readings at the ends of this error differ from those by the derivatives (n, n), and the cells follow these
-        differences. Cells of unknown size are bounded one by one.
-        """
-        std = np.sqrt(np.einsum("ij,ij->i", inverse, inverse))
-        counted = (self._read > 0.0) & self._present & (BY_STEPS * std < _SINGLY)
-        share = 1.0 / (1.0 + np.exp(-log) / self._behind(self._cells_at(log)))  # that changes the potentials of lines
-        weight = np.where(counted, share * (1.0 - share), 0.0)
-        most = weight
-        for _ in range(_POWERS):  # to the largest eigenvector of the covariance, so weighted
-            most = weight * (inverse @ (inverse.T @ (weight * most / max(float(np.linalg.norm(most)), TINY))))
-        half = inverse.T @ (weight * most)
-        swing = np.where(counted, BY_STEPS * (inverse @ half) / max(float(np.linalg.norm(half)), TINY), 0.0)
-        beyond, volts, linear = np.zeros(len(log)), self._at(log), jacobian @ swing
-        if not float(np.abs(swing).max()) > _SWING:
-            return beyond
-        for side in (1.0, -1.0):
-            there = np.clip(log + side * swing, self._least, self._most)
-            left = (self._at(there) - volts) * self._read / self._std - side * linear
-            bent = float(np.linalg.norm(left)) / max(float(np.linalg.norm(linear)), TINY)
-            change = inverse @ (inverse.T @ (jacobian.T @ left)) / coarser**2
-            # Below 1 a second step changes what the first has left by this factor; beyond, steps lead nowhere.
-            beyond = np.maximum(beyond, (1.0 + bent + bent**3) * np.abs(change))
-        return beyond / BY_STEPS
-
-    def _one_answer(self, log: FloatArray) -> bool:
+    def _one_answer(self, conductance: FloatArray) -> bool:
         """Whether no other cells give the readings, where idle columns conduct more than those that are read.
 
         Without leads of the rows there is one answer (:func:`.several_answers`). The selected row's lead takes a share
@@ -737,7 +638,7 @@ class FitLive:
         A L, where A L < 1/2 makes the map from one's losses to the other's cells a contraction.
         """
         assert self._linear is not None
-        in_range = float(np.exp(log.max())) * self._least_ohm <= 1.0
+        in_range = float(conductance.max()) * self._least_ohm <= 1.0
         return in_range and self._linear.amplified * self._lost < _CONTRACTS
 
     def _derivatives(self, cells: FloatArray) -> FloatArray:
@@ -763,28 +664,32 @@ class FitLive:
     def _reading(
         self,
         frame: Readings,
-        log: FloatArray,
-        std: FloatArray,
+        conductance: FloatArray,
+        coarser: float,
         misfit: float,
-        spread: FloatArray,
+        beside: FloatArray,
         unread: BoolArray,
     ) -> Measurement:
-        """Values, uncertainties, validity and reasons of cells that give the readings."""
-        board, shape = self._board, self._shape
-        signal, std = np.abs(frame.volts - board.level), std.reshape(shape)
+        """Values, uncertainties, validity and reasons of cells (n,) in S that give the readings."""
+        board, shape, linear = self._board, self._shape, self._linear
+        assert linear is not None
+        signal = np.abs(frame.volts - board.level)
         slope = np.abs(board.circuit.log_conductance_slope(board, signal * np.sign(board.drive)))
-        more = np.expm1(np.minimum(spread.reshape(shape), _LARGEST))
-        if self._several and (unread.any() or not self._one_answer(log)):
-            more = np.full(shape, inf)
+        more = linear.beyond(coarser) + beside
+        if self._several and (unread.any() or not self._one_answer(conductance)):
+            more = np.full(len(more), inf)
         if self._sheet is not None:
-            more = more + self._sheet.doubt(log)
+            share = linear.shares(conductance)
+            more = more + self._sheet.doubt(np.log(np.maximum(conductance, _LEAST))) * share * (1.0 - share)
         under_range: BoolArray = np.zeros(shape, dtype=np.bool_)
         if frame.under_range is not None:
             under_range = frame.under_range
         measured, per_volt = Measurement.unknown(frame.each.shape), np.where(slope > 0.0, slope, inf)
-        found = frame.volts, board.level, np.exp(log).reshape(shape), std, per_volt, more, misfit
+        made_at, behind = linear.share.reshape(shape), linear.behind.reshape(shape)
+        std, changes = linear.std(coarser).reshape(shape), more.reshape(shape)
         state_fitted.unchecked(
-            *(*found, self._short, unread, under_range, self._gone, self._std, self._constants),
+            *(frame.volts, board.level, conductance.reshape(shape), made_at, behind, std, changes, per_volt, misfit),
+            *(self._short, unread, under_range, self._gone, self._std, self._constants),
             *(frame.noise, frame.usual, frame.each, measured.block, measured.reason),
         )
         return measured
@@ -801,37 +706,15 @@ class FitLive:
         return nothing
 
 
-def _factored(jacobian: FloatArray, damping: float = 0.0) -> FloatArray:
-    """Lower Cholesky factor (n, n) of the normal matrix with the prior, its diagonal raised by a factor of damping.
+def _axes(jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Squares (n,) of the singular values of derivatives (n, n), and the matrix (n, n) of their right vectors.
 
     Raises:
         numpy.linalg.LinAlgError: the derivatives are not finite.
 
     """
-    from scipy.linalg.lapack import dpotrf
-
     normal = jacobian.T @ jacobian
-    normal.flat[:: len(normal) + 1] *= 1.0 + damping
-    normal.flat[:: len(normal) + 1] += _PRIOR**-2.0
-    factor, failed = dpotrf(normal, lower=1)
-    if failed:
-        raise np.linalg.LinAlgError("the normal matrix is not positive definite")
-    lower: FloatArray = factor
-    return lower
-
-
-def _most_by_own(derivatives: FloatArray, most: FloatArray) -> FloatArray:
-    """Largest relative change (n,) of each cell by its own reading, while none falls below nothing.
-
-    Args:
-        derivatives: (n, n) of the readings, in their errors, by relative changes of the cells.
-        most: (n,) largest changes by all readings together.
-
-    """
-    own = np.diag(derivatives)
-    others = derivatives * np.sign(own)[:, None]
-    np.fill_diagonal(others, 0.0)
-    held_up, held_down = np.maximum(others, 0.0).sum(axis=1), np.maximum(-others, 0.0)
-    for _ in range(3):
-        most = np.minimum(most, (BY_STEPS + held_up + held_down @ most) / np.maximum(np.abs(own), TINY))
-    return most
+    if not np.isfinite(normal).all():
+        raise np.linalg.LinAlgError("derivatives that are not finite")
+    roots, axes = np.linalg.eigh(normal)
+    return np.maximum(roots, 0.0), axes

@@ -2,15 +2,15 @@
 
 With floating idle rows a reading depends on all cells, but much more on its own cell and on those of its row and its
 column than on the rest: every other path leads through at least three cells. Within one row or column the derivatives
-by the cells' logarithms are nearly a product of two vectors, so that
+by the cells' shares are nearly a product of two vectors, so that
 
     J ~ diag(d) + P Q',        P, Q (N M, N + M), with two numbers per row: one for its row, one for its column.
 
-The normal matrix of a regularised step, J'J + 1/s^2, is then a diagonal A = d^2 + 1/s^2 plus a product of rank
-2 (N + M). By Woodbury's identity its inverse takes one inversion of a matrix of that size,
+The normal matrix of a regularised step, J'J + w, is then a diagonal A = d^2 + w plus a product of rank 2 (N + M). By
+Woodbury's identity its inverse takes one inversion of a matrix of that size,
 
     H^-1 = A^-1 - A^-1 V W V' A^-1,    V = (d P, Q),
-    W^-1 = (-P' (1/s^2 A) P,  1 + P' (d/A) Q;  1 + Q' (d/A) P,  Q' (1/A) Q).
+    W^-1 = (-P' (w/A) P,  1 + P' (d/A) Q;  1 + Q' (d/A) P,  Q' (1/A) Q).
 
 The posterior variances are the diagonal of this inverse. A step needs J itself: products with it
 (:mod:`._port_derivatives`) within conjugate gradients, with the structured inverse as the preconditioner. They converge
@@ -25,31 +25,18 @@ import numpy as np
 
 from ...common.arrays import FloatArray
 from .._board import Board, broken_off
+from ._law_kernels import BY_STEPS, TINY
 from ._port_derivatives import PortDerivatives
 from ._quick_model import QuickModel
 
+WITHIN = BY_STEPS**2
+"""inverse of the variance of a share before anything is read: shares are from 0 to 1"""
 _ITERATIONS = 16  # largest number of conjugate gradients in one step
 _TOLERANCE = 0.01  # of the residual, in the preconditioner's norm, that a step may leave
 _FITS = 3  # alternating least squares for the two vectors of a line
-_HARDLY_KNOWN = 0.3  # standard deviation of a logarithm above which the linear law does not suffice
 _PER_TIE = 0.5  # missing part of a standard deviation per measure of ties: 0.1 to 0.45 on boards tried
 _LEAST_REST = 1e-6  # least conductance of the rest of a crosspoint's lines over its own, so that a quotient is defined
 _MARGIN = 1.15  # standard deviations by structure are 0.90 to 1.05 of the exact ones on boards tried
-
-_KNOWN = 0.2  # standard deviation of a logarithm up to which the linear law suffices
-_DEVIATIONS = 1.5  # assumed error of a hardly known cell, in standard deviations, where its effect is computed
-
-
-def beyond_linear(std: FloatArray) -> FloatArray:
-    """Variance of a conductance, known within ``std`` of its logarithm, in excess of the linear law; relative to it.
-
-    An error of a logarithm multiplies the conductance by an exponential, not by a linear factor. A hardly known cell
-    may therefore add more to the current of its lines than the derivatives say. Errors of better known cells have both
-    signs, and their second order averages out.
-    """
-    std = np.minimum(np.maximum(_DEVIATIONS * (std - _KNOWN), 1e-3), 4.0)
-    more: FloatArray = (np.expm1(std) / std) ** 2 - 1.0
-    return more
 
 
 class _Lines(NamedTuple):
@@ -90,14 +77,13 @@ class _Lines(NamedTuple):
 
 
 class NodeStep:
-    """The regularised inverse of the derivatives at one point. Logarithms are those of the cells, arrays (N, M)."""
+    """The regularised inverse of the derivatives at one point. Arrays of cells are (N, M)."""
 
     def __init__(
         self,
         derivatives: PortDerivatives,
         conductance: FloatArray,
-        per_log: FloatArray,
-        prior: FloatArray,
+        per_share: FloatArray,
         noise: float,
     ) -> None:
         """Invert the structured normal matrix.
@@ -105,8 +91,7 @@ class NodeStep:
         Args:
             derivatives: V/S of the readings.
             conductance: S of the crosspoints.
-            per_log: S by which a crosspoint changes per unit of its cell's logarithm.
-            prior: standard deviation of the logarithms before anything is read.
+            per_share: S of a crosspoint by the share of its cell.
             noise: V, standard deviation of a reading.
 
         Raises:
@@ -114,39 +99,27 @@ class NodeStep:
 
         """
         self._derivatives, self._noise = derivatives, noise
-        self._scale = scale = per_log / noise  # of a derivative, to standard deviations per logarithm
-        self._regular = regular = prior**-2.0
+        self._scale = scale = per_share / noise  # of a derivative, to standard deviations per share
         along = derivatives.along_rows() * scale[:, None, :]
         down = derivatives.down_columns() * scale.T[:, None, :]
         by_row, by_column = _product_of_vectors(along), _product_of_vectors(down)
         first = _Lines(by_row[0], by_column[0].T)
         second = _Lines(by_row[1], by_column[1].T)
         own = np.einsum("ijj->ij", along) - first.rows * second.rows - first.columns * second.columns
-        free = 1.0 / (own**2 + regular)
+        free = 1.0 / (own**2 + WITHIN)
         self._own, self._free, self._second = own, free, second
         self._own_first = _Lines(own * first.rows, own * first.columns)
         corner = np.eye(len(own) + len(own[0])) + first.gram(own * free, second)
-        whole = np.block([[-first.gram(regular * free, first), corner], [corner.T, second.gram(free, second)]])
+        whole = np.block([[-first.gram(WITHIN * free, first), corner], [corner.T, second.gram(free, second)]])
         if not np.isfinite(whole).all():
             raise np.linalg.LinAlgError("derivatives that are not finite")
         self._inner = inner = np.linalg.inv(whole)
         information = np.einsum("iab,iab->ib", along, along) + np.einsum("jab,jab->jb", down, down).T
-        information += regular - np.einsum("ijj->ij", along) ** 2
-        self._information = information
+        information += WITHIN - np.einsum("ijj->ij", along) ** 2
         variance = np.maximum(free - free**2 * self._quadratic(inner), 1.0 / information)
         std = np.sqrt(variance)
-        if (std > _HARDLY_KNOWN).any():
-            weight = free**2 * (beyond_linear(std) / variance)
-            beside = self._own_first.gram(weight, second)
-            middle = np.block(
-                [
-                    [self._own_first.gram(weight, self._own_first), beside],
-                    [beside.T, second.gram(weight, second)],
-                ]
-            )
-            std = np.sqrt(variance + free**2 * np.maximum(self._quadratic(inner @ middle @ inner), 0.0))
         self.std: FloatArray = _MARGIN * std * (1.0 + _PER_TIE * tied(conductance))
-        """posterior standard deviation of the logarithms"""
+        """posterior standard deviation of the shares"""
 
     def _quadratic(self, matrix: FloatArray) -> FloatArray:
         """Diagonal (N, M) of V matrix V', for a symmetric matrix."""
@@ -168,32 +141,27 @@ class NodeStep:
         """The normal matrix itself, times (N, M)."""
         readings = self._derivatives.times(self._scale * change)
         image: FloatArray = self._scale * self._derivatives.transposed_times(readings)
-        image += self._regular * change
+        image += WITHIN * change
         return image
 
-    def solve(self, volts: FloatArray, damping: float = 0.0) -> FloatArray:
-        """Change (n,) of the logarithms for a difference (n,) of the readings in V, by a factor of damping."""
+    def solve(self, volts: FloatArray, longest: float) -> FloatArray:
+        """Change (n,) of the shares for a difference (n,) of the readings in V, shortened to a limit."""
         apart = volts.reshape(self._scale.shape) / self._noise
         residual = self._scale * self._derivatives.transposed_times(apart)
-        more = damping * self._information
-
-        def conditioned(normal: FloatArray) -> FloatArray:
-            return self._preconditioned(normal) if damping < 1.0 else normal / (self._information + more)
-
-        direction = preconditioned = conditioned(residual)
+        direction = preconditioned = self._preconditioned(residual)
         gain = begun = float(np.vdot(residual, preconditioned))
         change = np.zeros_like(residual)
         for _ in range(_ITERATIONS):
             if gain <= _TOLERANCE**2 * begun:
                 break
-            image = self._normal(direction) + more * direction
+            image = self._normal(direction)
             length = gain / float(np.vdot(direction, image))
             change += length * direction
             residual -= length * image
-            preconditioned = conditioned(residual)
+            preconditioned = self._preconditioned(residual)
             before, gain = gain, float(np.vdot(residual, preconditioned))
             direction = preconditioned + (gain / before) * direction
-        flat: FloatArray = change.ravel()
+        flat: FloatArray = change.ravel() * min(1.0, longest / max(float(np.abs(change).max()), TINY))
         return flat
 
 
@@ -209,13 +177,12 @@ class NodeBlocks:
             self.applies = model.products(np.full(board.shape, 1e4)) is not None
         """whether there is a fast way to products with the derivatives"""
 
-    def at(self, cells: FloatArray, prior: FloatArray) -> NodeStep:
-        """The step at cells (N, M) in ohm, with standard deviations ``prior`` (N, M) of their logarithms before."""
+    def at(self, cells: FloatArray, per_share: FloatArray) -> NodeStep:
+        """The step at cells (N, M) in ohm, whose crosspoints change by ``per_share`` (N, M) in S with their shares."""
         derivatives = self._model.products(cells)
         assert derivatives is not None
-        in_series = 1.0 / (cells + self._board.series_ohms)  # S of the cell and an open-cell fault
         conductance = self._board.cell_conductance(cells)[:, -cells.shape[1] :]  # without the pull-downs
-        return NodeStep(derivatives, conductance, in_series**2 * cells, prior, self._noise)
+        return NodeStep(derivatives, conductance, per_share, self._noise)
 
 
 def tied(conductance: FloatArray) -> FloatArray:

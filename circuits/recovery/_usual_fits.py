@@ -23,42 +23,45 @@ from ...common.measurement import GREATEST, LEAST, Measurement
 from ...common.noise import constant_part
 from .._board import Board
 from ..readouts import columns_impedance
-from ._law_kernels import BY_NOISE, BY_STEPS, LARGEST
+from ._law_kernels import BY_NOISE, BY_STEPS
 from ._live_reading import DISTURBED, HIDDEN, NO_CURRENT, SATURATED, SIGMAS, UNCERTAIN, Readings
 from ._measured import Constants, state_one
 
-FAR = 0.5
-"""change of a logarithm for which derivatives no longer serve"""
-PER_ERROR = 4.0
-"""of it, per standard deviation of the logarithm"""
 NO_FIT = 1.5
 """half steps of readings from those of the cells: no fit yet. As many cells as readings fit closely, or it is another
 minimum
 """
-HARDLY_KNOWN = 0.15
-"""standard deviation of a logarithm beyond which a step does not matter"""
-PER_SHARE = 5.0
-"""change of a logarithm that counts as one of the share by which a cell ties its lines to each other"""
-SETTLED, SMALL = 0.3, 1e-6
-"""standard deviations, and change of a logarithm: step that does not matter"""
-STRIDE = 1.5
-"""largest step of a logarithm"""
+SETTLED, SMALL, LARGE = 0.3, 1e-9, 0.02
+"""standard deviations of a share: step that does not matter. Changes of one that never do, and that always do"""
 SHORT_SHARE = 0.98
 """of the reading of a short, from which on a cell may be one"""
+FAR, FAR_ERRORS, LEAST_FAR = 0.4, 3.0, 0.02
+"""change for which derivatives no longer serve: of a logarithm, in standard deviations of a share, and of a share as
+far as it is not that of a short
+"""
+NEARER, FIRST_HALF = 0.8, 0.9
+"""largest part of the way to a short in one step, and largest share after a step from the first half"""
+FAR_BELOW, LEAST_BELOW, MOST_BELOW = 5.0, 0.01, 0.2
+"""how far a share may be below nothing, in standard deviations, and as a share at least and at most"""
+HELD = 0.5
+"""sum of a line's conductances over that of their sizes, below which no cell of the line may be below nothing"""
+LEAST_CELL = 1e-18
+"""S: a cell's resistance has to be a number"""
 STEPS = 3  # evaluations of the model in a frame
 
 IDLE, ROW_LEAD = range(2)
 """places of what is given for each row: S of its pull-down, and ohm of the lead before it; likewise of columns"""
 END, COLUMN_IDLE, SOURCE, OUTPUT, PER_AMPERE, GAIN, SPAN, REST = range(8)
-LOG, MODEL, MADE_AT, BEHIND, SHORT, LOWEST, HIGHEST, MOST_READ, WIDE = range(9)
-"""of cells: logarithms and the model's volts there, logarithms at which the matrix was made, and ohm of the lines that
-each sees, V of a short, bounds, V that no cells give, and V from which on the structure of lines says no more
+CELLS, MODEL, MADE_AT, BEHIND, BEYOND, SHORT, HIGHEST, MOST_READ, WIDE = range(9)
+"""of cells: S and the model's volts there, shares at which the matrix was made, ohm of the lines that each sees,
+changes of shares by what derivatives leave out, V of a short, S of the largest cell, V that no cells give, and V from
+which on the structure of lines says no more
 """
 
 
 @loop
 def fitted_volts(
-    log: Rows,
+    conductance: Rows,
     of_rows: Rows,
     of_columns: Rows,
     drive: float,
@@ -69,28 +72,27 @@ def fitted_volts(
     sums: Row,
     volts: Rows,
 ) -> bool:
-    """Write the outputs (N, M) in V of cells ``log`` (N, M) ln S; False if parts of the grid have no connection.
+    """Write the outputs (N, M) in V of cells (N, M) in S; False if parts of the grid have no connection.
 
     Args:
-        log: logarithms of the conductances.
+        conductance: of the cells.
         of_rows: (2, N) and ``of_columns`` (8, M): what is given, by the places above.
         drive: V.
         alone: whether columns are read one by one.
-        grid: (3, N, M), changed, as ``square`` (2, M, M), ``ends`` (M,) and ``sums`` (N,).
+        grid: (2, N, M), changed, as ``square`` (2, M, M), ``ends`` (M,) and ``sums`` (N,).
         volts: written.
     """
-    rows, columns = log.shape
+    rows, columns = conductance.shape
     held = 0.0
-    conductance, driven, to_ends, across, impedance = grid[0], grid[1], grid[2], square[0], square[1]
+    driven, to_ends, across, impedance = grid[0], grid[1], square[0], square[1]
     across[:] = 0.0
     for i in range(rows):
         held += of_rows[IDLE, i]
-        for j in range(columns):
-            conductance[i, j] = math.exp(log[i, j])
-    for i in range(rows):
         total = of_rows[IDLE, i]
         for j in range(columns):
             total += conductance[i, j]
+        if not total > 0.0:
+            return False
         sums[i] = total
         for j in range(columns):
             share = conductance[i, j] / total
@@ -132,36 +134,67 @@ def fitted_volts(
 
 
 @loop
-def tying_share(log: float, behind: float) -> float:
-    """G Z / (1 + G Z), by which a cell G changes the potentials of its lines; others see these by Z ``behind``, ohm."""
-    return 1.0 / (1.0 + math.exp(-log) / behind)
+def moved(conductance: float, step: float, behind: float, std: float, most: float) -> float:
+    """S of a cell whose share changes by a ``step``, as far as it leads neither to a short nor far below nothing.
+
+    A share of nothing is read with the standard deviation ``std``.
+    """
+    share = conductance * behind / (1.0 + conductance * behind)
+    greatest = FIRST_HALF if share <= 0.5 else share + NEARER * (1.0 - share)
+    share = min(max(share + step, -min(max(FAR_BELOW * std, LEAST_BELOW), MOST_BELOW)), greatest)
+    there = min(share / ((1.0 - share) * behind), most)
+    return there if abs(there) > LEAST_CELL else LEAST_CELL
 
 
 @loop
-def tied(log: float, other: float, behind: float) -> float:
-    """By how much a cell ties its lines at an ``other`` logarithm: shares, in units of a change of a logarithm."""
-    return PER_SHARE * abs(tying_share(log, behind) - tying_share(other, behind))
+def hold_lines(conductance: Rows) -> None:
+    """Raise cells (N, M) below nothing on lines whose cells together hardly conduct: such a line has no potential."""
+    rows, columns = conductance.shape
+    for i in range(rows):
+        total, size = 0.0, 0.0
+        for j in range(columns):
+            total, size = total + conductance[i, j], size + abs(conductance[i, j])
+        if total < HELD * size:
+            for j in range(columns):
+                conductance[i, j] = max(conductance[i, j], LEAST_CELL)
+    for j in range(columns):
+        total, size = 0.0, 0.0
+        for i in range(rows):
+            total, size = total + conductance[i, j], size + abs(conductance[i, j])
+        if total < HELD * size:
+            for i in range(rows):
+                conductance[i, j] = max(conductance[i, j], LEAST_CELL)
 
 
 @loop
-def distance(log: float, made_at: float, std: float, behind: float) -> float:
-    """Change of a logarithm since derivatives were made, of which its own error counts only as it ties lines."""
-    change = abs(log - made_at)
-    return max(change / max(PER_ERROR / FAR * std, 1.0), min(change, tied(log, made_at, behind)))
+def change_of(conductance: float, made_at: float, behind: float, std: float) -> float:
+    """Change of a share since derivatives were made, over the largest one for which they serve."""
+    share = conductance * behind / (1.0 + conductance * behind)
+    return abs(share - made_at) / max(max(FAR * made_at, LEAST_FAR) * (1.0 - made_at), FAR_ERRORS * std)
 
 
 @loop
-def each_tied(logs: FixedRow, others: FixedRow, behind: FixedRow, by: Row) -> None:
-    """Write :func:`tied` of each cell (n,)."""
-    for place in range(len(logs)):
-        by[place] = tied(logs[place], others[place], behind[place])
+def shares_of(conductance: FixedRow, behind: FixedRow, shares: Row) -> None:
+    """Write the shares of cells (n,)."""
+    for place in range(len(shares)):
+        tie = conductance[place] * behind[place]
+        shares[place] = tie / (1.0 + tie)
 
 
 @loop
-def each_distance(logs: FixedRow, made_at: FixedRow, std: FixedRow, behind: FixedRow, by: Row) -> None:
-    """Write :func:`distance` of each cell (n,)."""
-    for place in range(len(logs)):
-        by[place] = distance(logs[place], made_at[place], std[place], behind[place])
+def moved_by(
+    conductance: FixedRow, steps: FixedRow, behind: FixedRow, std: FixedRow, most: FixedRow, there: Row
+) -> None:
+    """Write :func:`moved` of each cell (n,)."""
+    for place in range(len(there)):
+        there[place] = moved(conductance[place], steps[place], behind[place], std[place], most[place])
+
+
+@loop
+def changes_of(conductance: FixedRow, made_at: FixedRow, behind: FixedRow, std: FixedRow, by: Row) -> None:
+    """Write :func:`change_of` of each cell (n,)."""
+    for place in range(len(by)):
+        by[place] = change_of(conductance[place], made_at[place], behind[place], std[place])
 
 
 @loop
@@ -169,7 +202,6 @@ def measure_fitted(
     volts: Rows,
     solver: Rows,
     spread: FixedRow,
-    follow: Rows,
     of_rows: Rows,
     of_columns: Rows,
     of_cells: Blocks,
@@ -186,7 +218,7 @@ def measure_fitted(
     square: Blocks,
     ends: Row,
     sums: Row,
-    log: Rows,
+    cells: Rows,
     model: Rows,
     step: Row,
     block: Blocks,
@@ -196,9 +228,8 @@ def measure_fitted(
 
     Args:
         volts: readings.
-        solver: (N M, N M) 1/V, changes by each reading of all logarithms.
-        spread: (N M,) standard deviations of the logarithms.
-        follow: like the solver, if hardly known cells may have any size; (0, 0): there are none.
+        solver: (N M, N M) 1/V, changes by each reading of all shares.
+        spread: (N M,) standard deviations of the shares.
         of_rows: and ``of_columns`` as of :func:`fitted_volts`; ``of_cells`` (9, N, M) by the places above, of which
             those of the last frame are changed.
         drive: V; ``level`` of the reference.
@@ -207,12 +238,12 @@ def measure_fitted(
         begun: whether the model's volts of the last frame are known.
         nowhere: no cells.
         surely: V, noise of the readings that is rarely exceeded; ``usual`` best guess, ``noise`` of each one.
-        grid: changed, as ``square``, ``ends``, ``sums``, ``log``, ``model`` and ``step``.
+        grid: changed, as ``square``, ``ends``, ``sums``, ``cells``, ``model`` and ``step``.
         block: written, as ``reason``: in the array's coordinates.
     """
     board, rows, columns = boards[0], volts.shape[0], volts.shape[1]
     alone, work = board.one_by_one > 0.0, (grid, square, ends, sums)
-    if not begun and not fitted_volts(of_cells[LOG], of_rows, of_columns, drive, alone, *work, of_cells[MODEL]):
+    if not begun and not fitted_volts(of_cells[CELLS], of_rows, of_columns, drive, alone, *work, of_cells[MODEL]):
         return False
     coarser, count, error = math.hypot(1.0, surely / converter), rows * columns, board.half + SIGMAS * surely
     for i in range(rows):
@@ -220,7 +251,8 @@ def measure_fitted(
             signal = abs(volts[i, j] - level)
             if signal > of_cells[MOST_READ, i, j] + error or signal >= of_cells[WIDE, i, j]:
                 return False
-            log[i, j], model[i, j] = of_cells[LOG, i, j], of_cells[MODEL, i, j]
+            cells[i, j], model[i, j] = of_cells[CELLS, i, j], of_cells[MODEL, i, j]
+    behind, highest = of_cells[BEHIND], of_cells[HIGHEST]
     settled = False
     squares, most = 0.0, 0.0
     for number in range(STEPS + 1):
@@ -233,48 +265,37 @@ def measure_fitted(
                 most = max(most, abs(apart))
                 for other in range(count):
                     step[other] += solver[place, other] * apart
-        for i in range(rows):
-            for j in range(columns):
-                place = i * columns + j
-                there = min(max(log[i, j] + step[place], of_cells[LOWEST, i, j]), of_cells[HIGHEST, i, j])
-                if abs(there - log[i, j]) > max(SETTLED * spread[place], SMALL) and (
-                    spread[place] <= HARDLY_KNOWN or tied(log[i, j], there, of_cells[BEHIND, i, j]) > FAR
-                ):
-                    settled = False
+        for place in range(count):
+            if abs(step[place]) > min(max(SETTLED * spread[place], SMALL), LARGE):
+                settled = False
         if settled and number > 0:
             break
         if number == STEPS:
             return False
         for i in range(rows):
             for j in range(columns):
-                change = min(max(step[i * columns + j], -STRIDE), STRIDE)
-                log[i, j] = min(max(log[i, j] + change, of_cells[LOWEST, i, j]), of_cells[HIGHEST, i, j])
-        if not fitted_volts(log, of_rows, of_columns, drive, alone, *work, model):
+                place = i * columns + j
+                cells[i, j] = moved(cells[i, j], step[place], behind[i, j], spread[place], highest[i, j])
+        hold_lines(cells)
+        if not fitted_volts(cells, of_rows, of_columns, drive, alone, *work, model):
             return False
     misfit = max(math.sqrt(squares / count), 0.5 * most) / board.half / coarser
     if not misfit <= NO_FIT:
         return False
+    std, per_volt = grid[0], grid[1]
     for i in range(rows):
         for j in range(columns):
-            made_at, behind = of_cells[MADE_AT, i, j], of_cells[BEHIND, i, j]
-            if not distance(log[i, j], made_at, spread[i * columns + j], behind) <= FAR:
+            std[i, j] = spread[i * columns + j]
+            if not change_of(cells[i, j], of_cells[MADE_AT, i, j], behind[i, j], std[i, j]) <= 1.0:
                 return False
-    conductance, std, per_volt, more = log, grid[0], grid[1], grid[2]
     for i in range(rows):
         for j in range(columns):
-            place, left = i * columns + j, 0.0
-            of_cells[LOG, i, j], of_cells[MODEL, i, j] = log[i, j], model[i, j]
-            if len(follow):  # what hardly known cells have left to go belongs to the others
-                for one in range(rows):
-                    for other in range(columns):
-                        left += follow[one * columns + other, place] * (volts[one, other] - model[one, other])
-            more[i, j] = math.expm1(min(abs(left), LARGEST))
-            std[i, j] = spread[place] * math.exp(min(abs(log[i, j] - of_cells[MADE_AT, i, j]), 1.0))
+            of_cells[CELLS, i, j], of_cells[MODEL, i, j] = cells[i, j], model[i, j]
             above = volts[i, j] - level - of_columns[REST, j]
             slope = above * (1.0 - above / of_columns[GAIN, j] * of_columns[SPAN, j])
             per_volt[i, j] = abs(1.0 / slope) if slope != 0.0 else math.inf
-            conductance[i, j] = math.exp(log[i, j] + step[place])
-    found = conductance, std, per_volt, more, misfit
+            cells[i, j] = moved(cells[i, j], step[i * columns + j], behind[i, j], std[i, j], highest[i, j])
+    found = cells, of_cells[MADE_AT], behind, std, of_cells[BEYOND], per_volt, misfit
     flags = nowhere, nowhere, nowhere
     state_fitted(volts, level, *found, of_cells[SHORT], *flags, converter, boards, surely, usual, noise, block, reason)
     return True
@@ -285,9 +306,11 @@ def state_fitted(
     volts: Rows,
     level: float,
     conductance: Rows,
+    made_at: Rows,
+    behind: Rows,
     std: Rows,
-    per_volt: Rows,
     more: Rows,
+    per_volt: Rows,
     misfit: float,
     shorts: Rows,
     unread: FlagRows,
@@ -306,9 +329,10 @@ def state_fitted(
     Args:
         volts: readings; ``level`` of the reference.
         conductance: S.
-        std: standard deviation of its logarithm, by errors of ``coarser`` readings.
+        made_at: shares at which derivatives were made; ``behind`` ohm that each cell sees of its lines.
+        std: standard deviation of the share, by errors of ``coarser`` readings.
+        more: change of the share by what derivatives leave out.
         per_volt: 1/V, of each cell by its own reading if it were alone.
-        more: relative uncertainty by what derivatives leave out.
         misfit: half steps and noise that the readings are off.
         shorts: V, reading of a short of each cell.
         unread: cells whose readings state bounds only; ``under_range`` upper ones.
@@ -331,7 +355,15 @@ def state_fitted(
             signal, own = abs(volts[i, j] - level), 1.0
             if per_volt[i, j] < math.inf:
                 own = error * per_volt[i, j]
-            told = own + math.expm1(min(max(sigmas * std[i, j] - own, 0.0), LARGEST)) + more[i, j]
+            tie = conductance[i, j] * behind[i, j]
+            share = tie / (1.0 + tie)
+            moved_on = 1.0 + abs(share - made_at[i, j]) / max(made_at[i, j] * (1.0 - made_at[i, j]), LEAST_FAR)
+            off = sigmas * moved_on * std[i, j] + more[i, j]
+            told, relative = math.inf, math.inf
+            if share > 0.0:
+                relative = moved_on * std[i, j] / (share * (1.0 - share))
+                if share + off < 1.0:
+                    told = max(own, off / (share * (1.0 - share - off)))
             why = DISTURBED if disturbs and own < board.accuracy else UNCERTAIN
             if signal <= error:
                 why = NO_CURRENT
@@ -346,20 +378,17 @@ def state_fitted(
             row, column = (columns - 1 - j, rows - 1 - i) if board.turned > 0.0 else (i, j)
             reason[row, column] = why
             told = told if why in (0, UNCERTAIN) else math.inf
-            every = max(std[i, j] / (coarser * converter), per_volt[i, j])
+            every = max(relative / (coarser * converter), per_volt[i, j])
             values = conductance[i, j], told, per_volt[i, j], 0.0, every, noise[row, column]
             block[LEAST, row, column], block[GREATEST, row, column] = 0.0, math.inf
             state_one(block, reason, row, column, *values, usual, half_step, rows, board)
 
 
 class Fit(Protocol):
-    """What :class:`._live_fit.FitLive` keeps from frame to frame; logarithms are those of the conductances in S."""
+    """What :class:`._live_fit.FitLive` keeps from frame to frame."""
 
     def bounds(self) -> tuple[FloatArray, ...]:
-        """V of a short at each cell, least and greatest logarithms, V that no cells give, and V beyond usual ones.
-
-        (N, M) each.
-        """
+        """V of a short at each cell, S of the largest cell, V that no cells give, and V beyond usual ones; (N, M)."""
         ...
 
     def unread(self, frame: Readings) -> BoolArray:
@@ -369,15 +398,14 @@ class Fit(Protocol):
     def kept(self, noise: float) -> tuple[FloatArray, ...] | None:
         """What a stream goes on with, for V of noise; None where the last frame left nothing.
 
-        Logarithms (n,) of the last frame, and those at which the derivatives were made; ohm (n,) of the lines that each
-        cell sees there; the regularised inverse of the derivatives (readings, logarithms) in 1/V; the standard
-        deviations (n,) of the logarithms; and, where some are hardly known, the inverse by which these follow the
-        readings, else an empty one.
+        S (n,) of the cells of the last frame; shares (n,) at which the derivatives were made, and ohm (n,) of the lines
+        that each cell sees there; the regularised inverse of the derivatives (readings, shares) in 1/V; the standard
+        deviations (n,) of the shares, and their changes (n,) by what derivatives leave out.
         """
         ...
 
-    def follow(self, log: FloatArray) -> FloatArray:
-        """Go on from logarithms (n,) of a usual frame, which are returned."""
+    def follow(self, conductance: FloatArray) -> FloatArray:
+        """Go on from cells (n,) in S of a usual frame, which are returned."""
         ...
 
 
@@ -404,10 +432,10 @@ class UsualFits:
         self._of_cells = np.empty((9, rows, columns))
         self._of_cells[SHORT:] = fit.bounds()
         self._nowhere = np.zeros(board.shape, dtype=np.bool_)
-        lines = np.empty((3, rows, columns)), np.empty((2, columns, columns)), np.empty(columns), np.empty(rows)
+        lines = np.empty((2, rows, columns)), np.empty((2, columns, columns)), np.empty(columns), np.empty(rows)
         self._work = *lines, np.empty((rows, columns)), np.empty((rows, columns)), np.empty(rows * columns)
-        self._solver = np.empty((0, 0))
-        self._log: FloatArray | None = None
+        self._solver, self._spread = np.empty((0, 0)), np.empty(0)
+        self._cells: FloatArray | None = None
 
     @staticmethod
     def serves(board: Board) -> bool:
@@ -430,10 +458,10 @@ class UsualFits:
 
     def volts(self, cells: FloatArray) -> FloatArray:
         """Outputs (N, M) in V of cells in ohm, in line coordinates, by the kernel's model."""
-        log, volts = np.ascontiguousarray(np.log(1.0 / cells)), np.empty(self._shape)
+        conductance, volts = np.ascontiguousarray(1.0 / cells), np.empty(self._shape)
         alone = bool(self._constants["one_by_one"][0])
         given = self._of_rows, self._of_columns, self._numbers[0], alone
-        if not fitted_volts(log, *given, *self._work[:4], volts):
+        if not fitted_volts(conductance, *given, *self._work[:4], volts):
             raise np.linalg.LinAlgError("parts of the grid have no connection")
         return volts
 
@@ -447,21 +475,23 @@ class UsualFits:
             frame = frame.in_lines(self._turn)
         if some and self._fit.unread(frame).any():
             return None
-        log, made_at, behind, solver, spread, follow = kept
-        begun = log is self._log
+        conductance, made_at, behind, solver, spread, beyond = kept
+        begun = conductance is self._cells
         if not begun:
-            self._of_cells[LOG] = log.reshape(self._shape)
+            self._of_cells[CELLS] = conductance.reshape(self._shape)
         if solver is not self._solver:
             self._of_cells[MADE_AT], self._of_cells[BEHIND] = made_at.reshape(self._shape), behind.reshape(self._shape)
             self._solver = solver
+        if spread is not self._spread:
+            self._spread, self._of_cells[BEYOND] = spread, beyond.reshape(self._shape)
         measured = Measurement.unknown(frame.each.shape)
-        given = solver, spread, follow, self._of_rows, self._of_columns, self._of_cells, *self._numbers, self._constants
+        given = solver, spread, self._of_rows, self._of_columns, self._of_cells, *self._numbers, self._constants
         done = measure_fitted.unchecked(
             *(frame.volts, *given, begun, self._nowhere, frame.noise, frame.usual, frame.each),
             *(*self._work, measured.block, measured.reason),
         )
         if not done:
-            self._log = None
+            self._cells = None
             return None
-        self._log = self._fit.follow(self._of_cells[LOG].reshape(-1))
+        self._cells = self._fit.follow(self._of_cells[CELLS].reshape(-1))
         return measured
