@@ -661,6 +661,15 @@ def test_a_sleeping_cell_follows_what_drifts_in_seconds_whatever_the_rate(dt_s: 
     assert watch.offset == pytest.approx(4e-4 * (1.0 - math.exp(-1.0)), rel=0.05)
 
 
+def test_departures_that_add_up_wake_a_sleeping_cell() -> None:
+    """Page's cumulative sum (1954): one standard deviation does after 2 WAKES frames, its negative never."""
+    t, frames = step_of(1e-3), {}
+    for r in (1e-3, -1e-3):
+        watch = zeros(filters.Watch, 1)[0]
+        frames[r] = next((n for n in range(1, 100) if not filters.rests(watch, t, r, r, 1e-6)), None)
+    assert frames == {1e-3: pytest.approx(2.0 * filters.WAKES, abs=1), -1e-3: None}
+
+
 def test_a_gap_widens_the_deviation_until_readings_come_back() -> None:
     load = 0.5 * np.interp(0.02 * np.arange(500), [1, 1.1], [0, 1])[:, None]
     ohm = CELL.forward((1,)).run(np.full(500, 0.02), load * FULL_KPA)
