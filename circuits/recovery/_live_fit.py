@@ -84,7 +84,7 @@ _MORE_DAMPING, _MOST_DAMPING = 10.0, 1e3  # times the damping until a step is sh
 _JUMP = 20.0  # half steps from which on closed formulas may be a nearer start
 _LEAST_READING = 0.03  # half steps: reading of the least conductance of cells behind a break
 _TIED = 0.5  # share from which on a cell may tie lines as a short does
-_LEAST_BEHIND = 0.0001  # resistance that a cell sees of its lines, over the reading's resistor
+_LEAST_BEHIND = 1e-4  # resistance that a cell sees of its lines, over the reading's resistor
 _LEAST = 1e-18  # S: a cell's resistance has to be a number
 _AS_SHORT, _SHORT = 1e5, 1e6  # wires of a cell over its own resistance, and S, from which on it is as good as a short
 _TIE = 0.02  # cell over the reference resistor, below which it ties lines to each other
@@ -92,9 +92,7 @@ _NO_CELLS = "no cell resistances give these readings; check that the design is t
 _MOST_UNREAD, _MOST_TIED = 3, 8  # cells whose intervals are gone through, by all corners and by the outermost ones
 _PATH = 4  # points on the way of a cell of unknown size to a short
 _BESIDE_STEPS, _BESIDE_STEP = 10, 0.01  # steps to the others beside it, and relative change of shares in the last one
-_SHARE_BESIDE = (
-    0.3  # share of which that counts beside several cells, at whose corners small ones are hardly determined
-)
+_SHARE_BESIDE = 0.3  # least share that counts beside several cells: at their corners small ones are hardly determined
 _BESIDE_SLOW = 0.5  # of a step's length over the one before, above which derivatives are made anew
 _SWING = 0.07  # of a share, up to which derivatives hold
 _MOST_AXES = 6  # of the covariance along which the model is asked
