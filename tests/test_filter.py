@@ -212,7 +212,7 @@ def test_a_fall_ends_at_a_mass_at_zero_or_at_a_density_of_plateaus(s: float, std
 @given(st.sampled_from([modes.CREEP_DOWN, modes.LINE_DOWN, modes.MOVE_DOWN]), st.integers(0, 2**32 - 1))
 @settings(max_examples=25)
 def test_a_fall_ends_at_no_load_at_the_latest(mode: int, seed: int) -> None:
-    """The share of it that comes to zero within the step, of loads that have not been there, is at rest from then on."""
+    """The share of it that comes to zero within the step, and has not been there before, is at rest from then on."""
     random, e, t = np.random.default_rng(seed), zeros(filters.Estimates, 1)[0], step_of(0.02)
     s, v, way = random.uniform(0.0, 0.05), -random.uniform(0.1, 3.0), t.way_s[mode]
     root = random.uniform(0.002, 0.03) * random.standard_normal((2, 2))

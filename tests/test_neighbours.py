@@ -177,13 +177,13 @@ def test_a_saved_state_remembers_what_was_like_its_neighbours() -> None:
 @given(st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 0.1), st.booleans()), min_size=4, max_size=4))
 def test_the_prior_has_the_moments_of_the_believed_neighbours(cells: list[tuple[float, float, bool]]) -> None:
     told = np.array([[0.3, 0.1, 1.0], *cells], dtype=np.float64).T.copy()
-    mean, variance = neighbours.prior(0, np.array([[1, 2, 3, 4, 5]]), told, 0.5)
+    mean, variance = neighbours.prior(0, np.array([[1, 2, 3, 4, 5]]), told)
     load, var = (told[row, 1:][told[neighbours.BELIEVED, 1:] > 0.0] for row in range(2))
     if not load.size:
         assert variance < 0.0
         return
     assert mean == pytest.approx(load.mean())
-    assert variance == pytest.approx(load.var() + var.mean() + (0.5 * load.mean()) ** 2, abs=1e-12)
+    assert variance == pytest.approx(load.var() + var.mean() + load.mean() ** 2, abs=1e-12)
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.01, 0.3), st.floats(0.0, 1.0), st.floats(0.01, 0.3), st.floats(0.0, 1.0))

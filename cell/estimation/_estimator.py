@@ -90,7 +90,7 @@ class Estimator:
             # What a cell without memory reads is over when it is over; bad contacts of the others look like loads.
             bad_hz = TUNING.bad_hz if inversion.remembers or inversion.side > 0.0 else 0.0
             drift = TUNING.drift if inversion.remembers else 0.0
-            none = {"memory": 0.0, "floor": 0.0, "relative": 0.0, "extrapolated": 0.0, "scarce": math.inf}
+            none = {"memory": 0.0, "floor": 0.0, "relative": 0.0, "extrapolated": 0.0}
             tuning = replace(TUNING, **none, drift=drift, overload=READINGS_OVERLOAD, bad_hz=bad_hz)
             material = Material.without_memory()
         unit = 1.0 if follows_load else inversion.side * inversion.full_scale_r
@@ -101,7 +101,7 @@ class Estimator:
             *(inversion.remembers, inversion.filtered, follows_load, material.geq, material.gu, material.g3),
             *(full, UNKNOWN * full, 0.0 if follows_load else TUNING.floor * full),
             *(conditions.model_std_kpa, conditions.rest_error, self.states_std, 0.0),
-            *(TUNING.alone, TUNING.sudden, TUNING.uneven),
+            *(TUNING.alone, TUNING.sudden),
         )
         self._steps = ByStep(_one_step, (material, tuning))
         self._cells, self._befores = zeros(Estimates, count), zeros(Estimates, count)

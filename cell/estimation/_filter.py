@@ -748,7 +748,6 @@ def step_each(
     sleeps: Row,
     beside: PlaceRows,
     told: Rows,
-    uneven: float,
     sudden: float,
     forget: float,
 ) -> None:
@@ -766,8 +765,7 @@ def step_each(
         sleeps: (n,) 1 where a cell may sleep.
         beside: (n, most) cells beside each; n: none.
         told: (3, n) scratch: loads that readings tell, for :mod:`._neighbours`.
-        uneven: see :class:`~._modes.Tuning`, as ``sudden``.
-        sudden: see ``uneven``.
+        sudden: see :class:`~._modes.Tuning`.
         forget: share of the evidence for modes that is kept.
 
     """
@@ -798,7 +796,7 @@ def step_each(
         if watch.since_s > 0.0:
             other = mean_of(befores[i])
             other_spread, odds = variance_of(befores[i], other, t), watch.odds
-            usual, about = prior(i, beside, told, uneven)
+            usual, about = prior(i, beside, told)
             if about >= 0.0:
                 odds += math.log(
                     agreement(other, other_spread, usual, about, sudden) / agreement(mean, spread, usual, about, sudden)

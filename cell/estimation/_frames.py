@@ -74,7 +74,6 @@ class Settings(Record):
     alone: float
     """see :class:`._modes.Tuning`"""
     sudden: float
-    uneven: float
 
 
 class Clock(Record):
@@ -265,7 +264,7 @@ def take_frames(
             clock.since_forgot_s = 0.0
         step_each(
             *(cells, befores, watches, candidates, pools, trial, step, readings, sleeps),
-            *(beside, told, settings.uneven, settings.sudden, forget),
+            *(beside, told, settings.sudden, forget),
         )
         for i in range(rest_ohm.size):
             slept, sleeping = status[frame, i] & ASLEEP, watches[i].asleep > 0.0
@@ -331,7 +330,7 @@ def show_frames(
         if lose(status, frame, shown, told):
             for i in range(cells):
                 if shown[LIKE, i] == LOST:
-                    usual, about = prior(i, beside, told, settings.uneven)
+                    usual, about = prior(i, beside, told)
                     own, own_var = shown[0, i], shown[1, i] * shown[1, i]
                     shown[LIKE, i] = alike(own, own_var, usual, about, full, settings.alone)
         missing = False
@@ -370,7 +369,7 @@ def show_frames(
         if missing:
             for i in range(cells):
                 if shown[LIKE, i] != BELIEVES:
-                    usual, about = prior(i, beside, told, settings.uneven)
+                    usual, about = prior(i, beside, told)
                     if about >= 0.0 and not math.isnan(told[LOAD, i]):
                         kpa, var = fuse(told[LOAD, i], told[VARIANCE, i], usual, about, shown[LIKE, i])
                         shown[1, i] = math.sqrt(var)

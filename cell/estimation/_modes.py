@@ -49,8 +49,9 @@ class Tuning:
     """What the filter assumes of loads and contacts. FS is full scale. Chosen by ``ohmskin bench --scenarios``."""
 
     creep_per_s: float = 0.015
-    """FS/s, usual speed of loads that creep or sag; the next three: of slow, usual and fast motion"""
+    """FS/s, usual speed of loads that creep or sag; the next two: of slow and of fast motion"""
     line_per_s: float = 0.3
+    """also excess of rises over falls of the path of a load that moves within the frames"""
     move_per_s: float = 0.5
     edge: float = 0.6
     """FS, usual size of a change within one frame"""
@@ -58,51 +59,41 @@ class Tuning:
     """s, for which such a motion lasts"""
     line_s: float = 3.0
     move_s: float = 0.1
-    edge_s: float = 0.05
+    brief_s: float = 0.06
+    """changes within one frame, and bad contacts"""
     hold_s: float = 0.55
     """s, after which a held load begins to move"""
     rest_s: float = 5.0
     """s, after which a cell at rest is pressed"""
-    stop: float = 0.3
-    """share of the motions that end in a hold"""
-    turn: float = 0.3
-    """share of the motions that turn; the others go on at another scale of speed"""
+    other: float = 0.3
+    """share of the motions that end in a hold, and of those that turn; the others go on at another scale of speed. And
+    share of the holds that the other phase of the material explains"""
     release: float = 0.6
     """share of the falls with an end after them that end at no load; the others at plateaus of any height"""
     mistake: float = 0.2
     """share of the falls at whose end the load is not known, whatever its estimate"""
-    flip: float = 0.3
-    """share of the holds that the other phase of the material explains"""
-    shake_s: float = 2.0
-    """s, for which motion within the frames lasts; and s from one such motion to the next"""
     calm_s: float = 20.0
-    shake_per_s: float = 0.3
-    """FS/s, path of the load in such a motion, as an excess of rises over falls"""
+    """s from one motion within the frames to the next"""
     swing_s: float = 0.04
     """s, time of a swing: swings are that path long"""
     waver: float = 5e-4
     """FS per sqrt(s), by which a held load wavers"""
     unseen: float = 0.2
-    """share of the way of a frame that goes unseen at a turn, and its standard deviation"""
-    unseen_std: float = 0.15
+    """mean share of the way of a frame that goes unseen at a turn, of a uniform variable"""
     memory: float = 0.05
     """share of r by which the memory of a cell may be wrong when it comes to rest"""
     drift: float = 0.0006
     """r per sqrt(s), discrepancy of the model (Kennedy & O'Hagan 2001)"""
     forget_s: float = 2.0
-    """s, for which evidence for a mode lasts, since no cell is exactly the model"""
+    """s, for which evidence for a mode lasts, since no cell is exactly the model; and motion within the frames"""
     bad_hz: float = 0.02
-    """1/s, bad contacts of a cell; and s, for which they last"""
-    bad_s: float = 0.06
+    """1/s, bad contacts of a cell"""
     alone: float = 0.1
     """share of the contacts that cover a single cell"""
     sudden: float = 0.005
     """share of the jumps within a frame among untouched cells that are presses of a single cell"""
-    uneven: float = 1.0
-    """standard deviation of a cell's load about the mean of its neighbours, over that mean"""
     overload: float = 1.3
-    """FS, heaviest usual load; and FS, in which loads beyond full scale become rarer by a factor of e"""
-    scarce: float = 0.1
+    """FS, heaviest usual load; in a third of what it exceeds full scale, loads there become rarer by a factor of e"""
     floor: float = 0.001
     """FS, least standard deviation that is stated; and shares of the load, and of what exceeds full scale, that are
     added: there the cell is not known"""
@@ -267,17 +258,17 @@ def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step
             "release": t.release,
             "usual": _usual(after, leaves, shakes),
         },
-        **{"unseen": t.unseen, "unseen_std": t.unseen_std, "swing_s": t.swing_s},
+        **{"unseen": t.unseen, "unseen_std": t.unseen / math.sqrt(3.0), "swing_s": t.swing_s},
         **{"memory": t.memory, "drift_var": t.drift**2 * dt_s, "forget_s": t.forget_s},
         **{
             "bad_prior": math.log(max(t.bad_hz * dt_s / (3.0 * m.geq), 1e-300)),
-            "bad_ends": math.log(-math.expm1(-dt_s / t.bad_s)),
+            "bad_ends": math.log(-math.expm1(-dt_s / t.brief_s)),
         },
         **{
-            "bad_s": t.bad_s,
+            "bad_s": t.brief_s,
             "gain": m.gu,
             "overload": t.overload,
-            "scarce": t.scarce,
+            "scarce": (t.overload - 1.0) / 3.0,
             "floor": t.floor,
             "relative": t.relative,
         },
@@ -304,8 +295,8 @@ def _motion(mode: int, kind: int, dt_s: float, even: float, t: Tuning) -> tuple[
         way = (even * t.edge) ** 2
         return 0.0, 0.0, way, way / dt_s, way / dt_s**2, 0.0
     if kind == SHAKING:
-        kept = math.exp(-dt_s / t.shake_s)
-        return 0.0, kept, t.waver**2 * dt_s, 0.0, t.shake_per_s**2 * (1.0 - kept**2), t.shake_per_s
+        kept = math.exp(-dt_s / t.forget_s)
+        return 0.0, kept, t.waver**2 * dt_s, 0.0, t.line_per_s**2 * (1.0 - kept**2), t.line_per_s
     if kind == HELD:
         return 0.0, 0.0, (t.waver * even) ** 2 * dt_s, 0.0, 0.0, 0.0
     return (0.0,) * 6
@@ -315,15 +306,15 @@ def _motion(mode: int, kind: int, dt_s: float, even: float, t: Tuning) -> tuple[
 def _chain(t: Tuning) -> tuple[FloatArray, FloatArray]:
     """Shares (4, modes) of what follows on recovery, rising, rest and shaking; s (modes,), which modes last."""
     up, down = np.array([CREEP_UP, LINE_UP, MOVE_UP, EDGE_UP]), np.array([CREEP_DOWN, LINE_DOWN, MOVE_DOWN, EDGE_DOWN])
-    on, after = 1.0 - t.stop - t.turn, np.zeros((4, MODES))
-    held = t.stop * (1.0 - t.release)
-    after[DOWN, [REST, HOLD_DOWN, HOLD_UP]] = t.stop * t.release, held * (1.0 - t.flip), held * t.flip
-    after[DOWN, down], after[DOWN, up] = on / 4, t.turn / 4
-    after[UP, [HOLD_UP, HOLD_DOWN]] = t.stop * (1.0 - t.flip), t.stop * t.flip
-    after[UP, up], after[UP, down] = on / 4, t.turn / 4
+    on, after = 1.0 - 2.0 * t.other, np.zeros((4, MODES))
+    held = t.other * (1.0 - t.release)
+    after[DOWN, [REST, HOLD_DOWN, HOLD_UP]] = t.other * t.release, held * (1.0 - t.other), held * t.other
+    after[DOWN, down], after[DOWN, up] = on / 4, t.other / 4
+    after[UP, [HOLD_UP, HOLD_DOWN]] = t.other * (1.0 - t.other), t.other * t.other
+    after[UP, up], after[UP, down] = on / 4, t.other / 4
     after[2, up] = 0.1, 0.3, 0.3, 0.3  # few touches begin as creep
     after[3, [HOLD_UP, HOLD_DOWN]], after[3, up], after[3, down] = 0.2, 0.3 / 4, 0.3 / 4
-    return after, np.array([t.rest_s, *np.repeat([t.hold_s, t.creep_s, t.line_s, t.move_s, t.edge_s], 2), t.shake_s])
+    return after, np.array([t.rest_s, *np.repeat([t.hold_s, t.creep_s, t.line_s, t.move_s, t.brief_s], 2), t.forget_s])
 
 
 def _usual(after: FloatArray, leaves: FloatArray, shakes: float) -> FloatArray:

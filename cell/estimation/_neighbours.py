@@ -22,8 +22,11 @@ LOAD, VARIANCE, BELIEVED = 0, 1, 2
 
 
 @loop
-def prior(cell: int, beside: PlaceRows, told: Rows, uneven: float) -> tuple[float, float]:
-    """Mean and variance of a cell's load by its neighbours; a negative variance where none of them is believed."""
+def prior(cell: int, beside: PlaceRows, told: Rows) -> tuple[float, float]:
+    """Mean and variance of a cell's load by its neighbours; a negative variance where none of them is believed.
+
+    The load of a cell differs from their mean by as much as they do, and by that mean (fingertips may be sharp).
+    """
     count = mean = square = 0.0
     for other in beside[cell]:
         if other < told.shape[1] and told[BELIEVED, other] > 0.0:
@@ -34,7 +37,7 @@ def prior(cell: int, beside: PlaceRows, told: Rows, uneven: float) -> tuple[floa
     if count == 0.0:
         return 0.0, -1.0
     mean /= count
-    return mean, max(square / count - mean * mean, 0.0) + uneven * uneven * mean * mean
+    return mean, max(square / count - mean * mean, 0.0) + mean * mean
 
 
 @loop
