@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from ohmskin import bench
-from ohmskin.bench import _driver, _peers, boards, measurements, scenarios, scenes, search
+from ohmskin.bench import _driver, _peers, boards, measurements, oracle, scenarios, scenes, search
 from ohmskin.bench._driver import FRAME_RATE_HZ, design, packets_of, pressed
 from ohmskin.bench._paced_port import PacedPort
 from ohmskin.bench._reference import Indeterminate, reference_volts
@@ -522,3 +522,29 @@ def test_rows_are_chosen_by_name_and_gate(capsys: pytest.CaptureFixture[str]) ->
     assert verdict["limits"]["within"] == 88.0
     assert run(["bench", "--scenarios", "--only", "no such row"]) == 2
     assert run(["bench", "--scenarios", "--estimator", "ohmskin.cell:nobody"]) == 2
+
+
+# -- what the readings allow --
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.01, 1.0), st.integers(5, 60), st.integers(0, 2**32 - 1))
+def test_the_oracle_weighs_no_load_and_plateaus_by_bayes_rule(
+    height: float, noise: float, frames: int, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    gain = random.uniform(0.4, 0.8, frames)
+    error = height * gain + noise * random.standard_normal(frames)
+    x = np.linspace(0.0, 1.0, 4001)
+    fits = norm.logpdf(error[:, None], x * gain[:, None], noise).sum(axis=0)
+    density, rest = np.exp(fits - fits.max()), np.exp(norm.logpdf(error, 0.0, noise).sum() - fits.max())
+    found, std = oracle.plateau(error, np.full(frames, noise), gain)
+    assert found == pytest.approx(np.mean(density * x) / (np.mean(density) + rest), abs=2e-3)
+    assert std == pytest.approx(noise / np.linalg.norm(gain))
+
+
+def test_a_release_of_a_tap_is_one_that_the_oracle_judges() -> None:
+    """In little noise it shows nothing."""
+    scene = scenes.Scene("press", "example", noise_mv=0.1)
+    found = oracle.releases(scene, scenes.play(scene), Cell.example())
+    assert len(found) == 6  # of eight cells two bear no load
+    assert max(shown for shown, _ in found) < 1e-3
