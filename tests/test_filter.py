@@ -209,48 +209,6 @@ def test_a_fall_ends_at_a_mass_at_zero_or_at_a_density_of_plateaus(s: float, std
     assert filters.released(p, t) == pytest.approx(at_zero / (at_zero + 1.0 - t.release))
 
 
-@given(st.sampled_from([modes.CREEP_DOWN, modes.LINE_DOWN, modes.MOVE_DOWN]), st.integers(0, 2**32 - 1))
-@settings(max_examples=25)
-def test_a_fall_ends_at_no_load_at_the_latest(mode: int, seed: int) -> None:
-    """The share of it that comes to zero within the step, and has not been there before, is at rest from then on."""
-    random, e, t = np.random.default_rng(seed), zeros(filters.Estimates, 1)[0], step_of(0.02)
-    s, v, way = random.uniform(0.0, 0.05), -random.uniform(0.1, 3.0), t.way_s[mode]
-    root = random.uniform(0.002, 0.03) * random.standard_normal((2, 2))
-    covariance = root @ root.T + 1e-7 * np.eye(2)
-    e.w[mode], e.s[mode], e.v[mode] = 1.0, s, v
-    e.ss[mode], e.sv[mode], e.vv[mode] = covariance[0, 0], covariance[0, 1], covariance[1, 1]
-    above_now = norm.cdf(s / covariance[0, 0] ** 0.5)
-    std = (np.array([1.0, way]) @ covariance @ np.array([1.0, way])) ** 0.5
-    expected = max(1.0 - norm.cdf((s + way * v) / std) / max(above_now, 0.5), 0.0)
-    assert filters.reaches(e, mode, t) == pytest.approx(expected, abs=1e-4)
-    c, p = zeros(filters.Candidates, 1)[0], zeros(filters.Pools, 1)[0]
-    filters.mix(e, c, p, t)
-    assert c.w[mode] == pytest.approx((1.0 - t.leaves[mode]) * (1.0 - filters.reaches(e, mode, t)))
-    assert c.from_down[modes.REST] >= (1.0 - t.leaves[mode]) * filters.reaches(e, mode, t) * (1.0 - 1e-9)
-    e.s[mode] = 0.5 + 5.0 * std - way * v
-    assert filters.reaches(e, mode, t) == 0.0
-    e.w[modes.HOLD_DOWN], e.s[modes.HOLD_DOWN], e.ss[modes.HOLD_DOWN] = 1.0, 0.001, 1.0
-    assert filters.reaches(e, modes.HOLD_DOWN, t) == 0.0
-
-
-@pytest.mark.parametrize("noise", [1e-3, 1e-2])
-@pytest.mark.parametrize("fall_s", [0.3, 1.0])
-def test_a_load_that_has_fallen_to_zero_is_at_rest(noise: float, fall_s: float) -> None:
-    """Also where no reading tells a twentieth of full scale: what else would it do."""
-    time = 0.01 * np.arange(round(100 * (2.7 + fall_s)))
-    load = np.interp(time, [0.5, 0.6, 2.5, 2.5 + fall_s], [0, 1, 1, 0])[:, None] * np.linspace(0.2, 0.8, 12)
-    ohm = CELL.forward((12,)).run(np.full(time.size, 0.01), load * FULL_KPA)
-    ohm *= 1.0 + noise * np.random.default_rng(0).standard_normal(ohm.shape)
-    estimator = CELL.estimator((12,))
-    for n, frame in enumerate(ohm):
-        estimator.step(0.01, frame)
-        if time[n] < 2.5 + 0.8 * fall_s:
-            held = estimator._cells["w"][:, modes.REST].mean()
-    asleep = estimator._watches["asleep"] > 0.0
-    assert held < 0.05
-    assert np.where(asleep, 1.0, estimator._cells["w"][:, modes.REST]).mean() > 0.8
-
-
 @given(st.integers(0, 2**32 - 1))
 def test_mixing_keeps_the_probability(seed: int) -> None:
     """All that leaves a mode comes to another one, but for what begins to shake and stays counted where it was."""
@@ -275,8 +233,7 @@ def test_what_comes_to_a_mode_keeps_the_moments_of_the_mixture(seed: int, share:
         for j, part in zip((modes.LINE_DOWN, modes.MOVE_DOWN), parts, strict=True):
             written(e, j, *part)
             e.w[j], e.x3[j] = 0.5 / t.leaves[j], slow[2 * k + (j == modes.MOVE_DOWN)]
-        c.ends[:] = t.leaves
-        filters.pool(p, 2 * k, e, modes.LINE_DOWN, modes.MOVE_DOWN + 1, c)
+        filters.pool(p, 2 * k, e, modes.LINE_DOWN, modes.MOVE_DOWN + 1, t)
         x3.append(slow[2 * k : 2 * k + 2].mean())
         mean = np.mean([m for m, _ in parts], axis=0)
         covariance = np.mean([cov + np.outer(m - mean, m - mean) for m, cov in parts], axis=0)
@@ -467,13 +424,12 @@ def test_a_bound_counts_once_however_often_it_is_felt(z: float, load: float) -> 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.99))
 def test_pools_keep_the_moments_of_the_mixture(seed: int, share: float) -> None:
-    e, p, c = zeros(filters.Estimates, 1)[0], zeros(filters.Pools, 1)[0], zeros(filters.Candidates, 1)[0]
+    e, p = zeros(filters.Estimates, 1)[0], zeros(filters.Pools, 1)[0]
     parts, t = [drawn(seed), drawn(seed + 1)], step_of(0.01)
-    c.ends[:] = t.leaves
     for j, w, part in zip((modes.HOLD_UP, modes.LINE_UP), (1.0 - share, share), parts, strict=True):
         written(e, j, *part)
         e.w[j] = w / t.leaves[j]
-    filters.pool(p, 0, e, modes.HOLD_UP, modes.LINE_UP + 1, c)
+    filters.pool(p, 0, e, modes.HOLD_UP, modes.LINE_UP + 1, t)
     mean = (1.0 - share) * parts[0][0] + share * parts[1][0]
     second = sum(
         w * (cov + np.outer(m, m)) for w, (m, cov) in zip((1.0 - share, share), parts, strict=True)

@@ -68,8 +68,6 @@ class Candidates(Record):
     vv: TWICE
     likelihood: TWICE
     distance: TWICE
-    ends: EACH
-    """probability that each mode ends: by its hazard, or as a falling load comes to zero"""
     from_down: EACH
     """weights of what comes to each mode from the pools"""
     from_up: EACH
@@ -163,24 +161,11 @@ def above(z: float) -> float:
 
 
 @loop
-def reaches(e: Estimates, j: int, t: Step) -> float:
-    """Probability that the load of a mode that falls comes to zero within the step, and has not been there before."""
-    if t.sign[j] >= 0.0 or e.w[j] == 0.0:
-        return 0.0
-    way = t.way_s[j]
-    ahead, var = e.s[j] + way * e.v[j], max(e.ss[j] + way * (2.0 * e.sv[j] + way * e.vv[j]), LEAST_VAR)
-    if ahead > 0.0 and ahead * ahead > FAR * FAR * var:
-        return 0.0
-    before = above(e.s[j] / math.sqrt(max(e.ss[j], LEAST_VAR)))
-    return max(1.0 - above(ahead / math.sqrt(var)) / max(before, 0.5), 0.0)
-
-
-@loop
-def pool(p: Pools, k: int, e: Estimates, first: int, last: int, c: Candidates) -> None:
+def pool(p: Pools, k: int, e: Estimates, first: int, last: int, t: Step) -> None:
     """Pool what leaves every second mode from ``first`` to before ``last``: moments of the mixture."""
     w = s = r = v = x3 = 0.0
     for j in range(first, last, 2):
-        part = above_negligible(e.w[j] * c.ends[j])
+        part = above_negligible(e.w[j] * t.leaves[j])
         w += part
         s += part * e.s[j]
         r += part * e.r[j]
@@ -191,7 +176,7 @@ def pool(p: Pools, k: int, e: Estimates, first: int, last: int, c: Candidates) -
     p.w[k], p.s[k], p.r[k], p.v[k], p.x3[k] = w, s, r, v, x3 * per_w
     ss = sr = sv = rr = rv = vv = 0.0
     for j in range(first, last, 2):
-        part = above_negligible(e.w[j] * c.ends[j]) * per_w
+        part = above_negligible(e.w[j] * t.leaves[j]) * per_w
         by_s, by_r, by_v = e.s[j] - s, e.r[j] - r, e.v[j] - v
         ss += part * (e.ss[j] + by_s * by_s)
         sr += part * (e.sr[j] + by_s * by_r)
@@ -275,32 +260,24 @@ def released(p: Pools, t: Step) -> float:
 
 @loop
 def mix(e: Estimates, c: Candidates, p: Pools, t: Step) -> None:
-    """The candidates of every mode: its own estimate, and what comes to it.
-
-    A fall ends at no load at the latest: what comes to zero within the step is at rest from then on.
-    """
-    come_to_rest = 0.0
-    for j in range(MODES):
-        falls_to_zero = (1.0 - t.leaves[j]) * reaches(e, j, t)
-        c.ends[j] = t.leaves[j] + falls_to_zero
-        come_to_rest += e.w[j] * falls_to_zero
-    pool(p, AFTER_REST, e, REST, REST + 1, c)
-    pool(p, AFTER_UP, e, HOLD_UP, SHAKE, c)
-    pool(p, AFTER_DOWN, e, HOLD_DOWN, SHAKE, c)
-    pool(p, AFTER_SHAKE, e, SHAKE, MODES, c)
+    """The candidates of every mode: its own estimate, and what comes to it."""
+    pool(p, AFTER_REST, e, REST, REST + 1, t)
+    pool(p, AFTER_UP, e, HOLD_UP, SHAKE, t)
+    pool(p, AFTER_DOWN, e, HOLD_DOWN, SHAKE, t)
+    pool(p, AFTER_SHAKE, e, SHAKE, MODES, t)
     shaking = 0.0
     for j in range(SHAKE):
         shaking += e.w[j]
     rests = released(p, t) if p.w[AFTER_DOWN] > 0.0 else 0.0
     for j in range(MODES):
-        own, n = e.w[j] * (1.0 - c.ends[j]), MODES + j
+        own, n = e.w[j] * (1.0 - t.leaves[j]), MODES + j
         c.w[j] = above_negligible(own)
         c.s[j], c.r[j], c.v[j], c.x3[j] = e.s[j], e.r[j], e.v[j], e.x3[j]
         c.ss[j], c.sr[j], c.sv[j] = e.ss[j], e.sr[j], e.sv[j]
         c.rr[j], c.rv[j], c.vv[j] = e.rr[j], e.rv[j], e.vv[j]
-        falls = max(p.w[AFTER_DOWN] - come_to_rest, 0.0) * t.after_down[j]
+        falls = p.w[AFTER_DOWN] * t.after_down[j]
         if j == REST:
-            falls = falls * rests / t.release + come_to_rest
+            falls *= rests / t.release
         elif j in (HOLD_UP, HOLD_DOWN):
             falls *= (1.0 - rests) / (1.0 - t.release)
         c.from_down[j] = above_negligible(falls)
