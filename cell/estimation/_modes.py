@@ -79,7 +79,7 @@ class Tuning:
     waver: float = 5e-4
     """FS per sqrt(s), by which a held load wavers"""
     unseen: float = 0.2
-    """mean share of the way of a frame that goes unseen at a turn, of a uniform variable"""
+    """mean share of the way of a frame that goes unseen at a turn; its standard deviation is three quarters of it"""
     memory: float = 0.05
     """share of r by which the memory of a cell may be wrong when it comes to rest"""
     drift: float = 0.0006
@@ -258,7 +258,7 @@ def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step
             "release": t.release,
             "usual": _usual(after, leaves, shakes),
         },
-        **{"unseen": t.unseen, "unseen_std": t.unseen / math.sqrt(3.0), "swing_s": t.swing_s},
+        **{"unseen": t.unseen, "unseen_std": 0.75 * t.unseen, "swing_s": t.swing_s},
         **{"memory": t.memory, "drift_var": t.drift**2 * dt_s, "forget_s": t.forget_s},
         **{
             "bad_prior": math.log(max(t.bad_hz * dt_s / (3.0 * m.geq), 1e-300)),
