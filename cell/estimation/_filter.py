@@ -781,9 +781,11 @@ def step_each(
             bad = 1.0 / (1.0 + math.exp(-odds))
             bad = bad * bad / (bad + TAIL)
             off = other - mean
-            spread += bad * (other_spread - spread) + bad * (1.0 - bad) * off * off
-            if odds > 0.0:
-                mean, reading.believed = other, 0.0
+            spread += bad * (other_spread - spread)
+            if watch.odds > 0.0:
+                mean, reading.believed, spread = other, 0.0, spread + (1.0 - bad) * off * off
+            else:  # what a cell reads is shown at once; neighbours tell how far it is to be believed
+                spread += bad * off * off
         beyond = max(mean - 1.0, 0.0) * t.extrapolated
         reading.load = mean
         reading.load_variance = spread + t.floor * t.floor + t.relative * t.relative * mean * mean + beyond * beyond
