@@ -200,7 +200,8 @@ class ContactsOfFrames:
     """Contacts on demand: nothing is computed before the first request.
 
     Ids and hysteresis depend on earlier frames. On the first request all frames that anybody still holds are therefore
-    taken in their order, and every later one when it comes.
+    taken in their order, and every later one when it comes. A tare, whose own frames nobody holds after it, has them
+    taken.
     """
 
     def __init__(self, tracker: ContactTracker) -> None:
@@ -230,6 +231,11 @@ class ContactsOfFrames:
         elif len(self._waiting) > self._most_waiting:
             with self._lock:
                 self._forget_dead()
+
+    def catch_up(self) -> None:
+        """Take the frames that wait, as on a request."""
+        with self._lock:
+            self._take_waiting()
 
     def _take_waiting(self) -> None:
         while self._waiting:

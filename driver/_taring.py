@@ -66,6 +66,7 @@ class Tares:
         """
         with self._lock:
             taken, numbers = self._next_frames(frames, timeout_s)
+            self._converter.contacts.catch_up()
             tare = self._made_of(taken, serial_number(), drift=drift, spread=spread)
             # Of a hole nothing is left to be measured.
             tare = replace(tare, measured=tare.measured | ~self._converter.geometry.exists)

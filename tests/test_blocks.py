@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from boards import DESIGN, Wire, described, frame, lossless, scene
 from designs import digitised
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ohmskin.bench import scenes
@@ -182,6 +182,7 @@ def taken(readout: dict[str, float], sizes: list[int], tare_at: int, contacts_fr
 
 @pytest.mark.parametrize("readout", [{}, {"reference_resistance": 33.2e3}], ids=["plain", "with cells at a limit"])
 @given(sizes=st.lists(st.integers(1, 60), min_size=1, max_size=5), tare_at=st.integers(1, 90))
+@example(sizes=[60], tare_at=20)
 @settings(max_examples=3, deadline=None)
 def test_frames_taken_together_are_those_taken_one_by_one(
     readout: dict[str, float], sizes: list[int], tare_at: int
