@@ -416,7 +416,8 @@ class FitLive:
             if not misfit <= self._misfit(off(other), coarser):
                 here, apart = other, off(other)
                 misfit = self._misfit(apart, coarser)
-        settled, before, begun, left, at_first = False, inf, self._linear, np.zeros(len(here)), misfit
+        settled, before, begun, at_first = False, inf, self._linear, misfit
+        left, further = np.zeros(len(here)), 1.0
         try:
             while np.isfinite(misfit):
                 linear = self._linear
@@ -429,6 +430,7 @@ class FitLive:
                 step = linear.solve(apart, inf)
                 step[pinned] = 0.0
                 left, length = np.abs(step), float(np.abs(step).max())
+                further = _further(length / before)
                 settled = bool((left <= np.clip(SETTLED * linear.std(coarser), SMALL, LARGE)).all())
                 if settled:
                     break
@@ -458,8 +460,11 @@ class FitLive:
             self._conductance = self._linear = None
             return None
         self._still = settled or self._longest < _STUCK
-        # Where readings hardly tell, steps need not end: what they have left is part of the uncertainty.
-        ended, settled = settled, (settled or misfit <= _FITS) and misfit <= NO_FIT and self._linear is not None
+        # Where readings hardly tell, steps need not end: what they have left is part of the uncertainty, as far as
+        # derivatives hold.
+        left *= further
+        ends = settled or (misfit <= _FITS and float(left.max()) <= _SWING)
+        ended, settled = settled, ends and misfit <= NO_FIT and self._linear is not None
         if self._sheet is not None and settled:
             settled = self._follow_sheet(here, coarser)
         self._conductance, self._astray = here, not settled
@@ -563,8 +568,7 @@ class FitLive:
                     there = linear.moved(there, steps[-1], coarser, self._most)
                 first, second = np.abs(steps)
                 slower = float(second.max()) / max(float(first.max()), TINY)
-                further = 1.0 / (1.0 - slower) if slower < _SLOWEST else _BESIDE_STEPS
-                most = np.maximum(most, first + further * second)
+                most = np.maximum(most, first + _further(slower) * second)
             squares += most**2
         return np.sqrt(squares)
 
@@ -702,6 +706,11 @@ class FitLive:
         nothing = Measurement.unknown(frame.each.shape)
         nothing.reason[...] = self._turn(reason)
         return nothing
+
+
+def _further(slower: float) -> float:
+    """What steps have left in all, over the last one, whose ratio to the one before is ``slower``."""
+    return 1.0 / (1.0 - slower) if slower < _SLOWEST else float(_BESIDE_STEPS)
 
 
 def _axes(jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
