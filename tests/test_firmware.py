@@ -404,7 +404,7 @@ def test_the_command_runs_the_firmware_and_writes_the_truth(tmp_path: Path) -> N
 @pytest.mark.slow
 def test_the_report_on_the_firmware_passes_and_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Claim P14 of `ohmskin verify --target firmware`, with few of its points."""
-    for name, few in (("FIRMWARE_FRAMES", 60), ("DWELLS_US", (60,))):
+    for name, few in (("FRAMES", 60), ("DWELLS_US", (60,))):
         monkeypatch.setattr(f"ohmskin.verification._whole_skin.{name}", few)
     (claim,) = verify(scene().skin.design, only=["P14"], target="firmware").claims
     assert {str(check.outcome) for check in claim.finding.checks} == {"pass"}
