@@ -12,7 +12,7 @@ import numpy as np
 
 from ..cell import Cell, ContactModel
 from ..common.archives import Stored, read_arrays
-from ..common.arrays import BoolArray, FloatArray
+from ..common.arrays import BoolArray, FloatArray, scatter
 from ..common.config import LEAST_SI, MOST_SI
 from ..common.files import whole_file
 from ..common.text import count_of, printable
@@ -34,8 +34,6 @@ DRIFT_STDS = 5.0
 """the same in standard errors, for noisy readings"""
 OUTLYING_STDS = 4.0
 """a cell this far from the others, in robust standard deviations of all, is an outlier of their scatter"""
-NORMAL_MAD = 1.4826
-"""standard deviation over the median absolute deviation (normal distribution)"""
 NOISE_SHARE = 0.5
 """share of the tolerated deviation for noise; the rest is for manufacturing tolerances"""
 TYPICAL_READINGS = 4
@@ -388,7 +386,7 @@ def _unlike_others(
 def _spread_of_all(ratio: FloatArray) -> float:
     """Largest relative deviation of resistances (n,), in units of the usual one, rounded up; 0: there are outliers."""
     deviation = np.abs(np.log(np.maximum(ratio, 1e-300)))
-    if deviation.max() > OUTLYING_STDS * NORMAL_MAD * float(np.median(deviation)):
+    if deviation.max() > OUTLYING_STDS * scatter(deviation):
         return 0.0
     return math.ceil(10 * float(np.abs(ratio - 1).max())) / 10
 

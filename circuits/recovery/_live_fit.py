@@ -153,9 +153,7 @@ class _Linear(NamedTuple):
 
     def shares(self, conductance: FloatArray) -> FloatArray:
         """(n,) of conductances (n,) in S."""
-        shares = np.empty(len(conductance))
-        shares_of.unchecked(conductance, self.behind, shares)
-        return shares
+        return _shares(conductance, self.behind)
 
 
 class FitLive:
@@ -501,7 +499,7 @@ class FitLive:
 
         """
         cells, behind = 1.0 / conductance.reshape(self._shape), self._behind(conductance)
-        share = conductance * behind / (1.0 + conductance * behind)
+        share = _shares(conductance, behind)
         per_share = self._per_share(cells, behind)
         if self._nodes is not None and self._read.all() and not self._wide:
             by_nodes = self._nodes.at(cells, per_share)
@@ -706,6 +704,13 @@ class FitLive:
         nothing = Measurement.unknown(frame.each.shape)
         nothing.reason[...] = self._turn(reason)
         return nothing
+
+
+def _shares(conductance: FloatArray, behind: FloatArray) -> FloatArray:
+    """(n,) of conductances (n,) in S, whose lines show them so many ohm (n,)."""
+    shares = np.empty(len(conductance))
+    shares_of.unchecked(conductance, behind, shares)
+    return shares
 
 
 def _further(slower: float) -> float:

@@ -134,12 +134,19 @@ def fitted_volts(
 
 
 @loop
+def share_of(conductance: float, behind: float) -> float:
+    """The share of a cell."""
+    tie = conductance * behind
+    return tie / (1.0 + tie)
+
+
+@loop
 def moved(conductance: float, step: float, behind: float, std: float, most: float) -> float:
     """S of a cell whose share changes by a ``step``, as far as it leads neither to a short nor far below nothing.
 
     A share of nothing is read with the standard deviation ``std``.
     """
-    share = conductance * behind / (1.0 + conductance * behind)
+    share = share_of(conductance, behind)
     greatest = FIRST_HALF if share <= 0.5 else share + NEARER * (1.0 - share)
     share = min(max(share + step, -min(max(FAR_BELOW * std, LEAST_BELOW), MOST_BELOW)), greatest)
     there = min(share / ((1.0 - share) * behind), most)
@@ -169,7 +176,7 @@ def hold_lines(conductance: Rows) -> None:
 @loop
 def change_of(conductance: float, made_at: float, behind: float, std: float) -> float:
     """Change of a share since derivatives were made, over the largest one for which they serve."""
-    share = conductance * behind / (1.0 + conductance * behind)
+    share = share_of(conductance, behind)
     return abs(share - made_at) / max(max(FAR * made_at, LEAST_FAR) * (1.0 - made_at), FAR_ERRORS * std)
 
 
@@ -177,8 +184,7 @@ def change_of(conductance: float, made_at: float, behind: float, std: float) -> 
 def shares_of(conductance: FixedRow, behind: FixedRow, shares: Row) -> None:
     """Write the shares of cells (n,)."""
     for place in range(len(shares)):
-        tie = conductance[place] * behind[place]
-        shares[place] = tie / (1.0 + tie)
+        shares[place] = share_of(conductance[place], behind[place])
 
 
 @loop
