@@ -113,7 +113,7 @@ class Boards:
         return Boards(**{name: of(getattr(self, name)) for name in self.names()}, ends=ends)
 
     @property
-    def turned(self) -> Boards:
+    def transposed(self) -> Boards:
         """The same boards in line coordinates, of a circuit that drives columns."""
         other = {"row_lead": "column_lead", "row_segment": "column_segment"}
         other |= {theirs: ours for ours, theirs in other.items()}
@@ -178,17 +178,17 @@ def scan_population(
     board = design.board
     wanted = np.ones(volts.shape, dtype=np.bool_)
     if driven is not None:
-        lines = np.indices((rows, columns))[1 if board.turned else 0]
+        lines = np.indices((rows, columns))[1 if board.transposed else 0]
         wanted = lines == np.reshape(driven, (-1, 1, 1))
     if read_together(design):
         low, high = design.readout.supply
-        ours = boards.turned if board.turned else boards
-        places = None if driven is None else board.shape[0] - 1 - driven if board.turned else driven
+        ours = boards.transposed if board.transposed else boards
+        places = None if driven is None else board.shape[0] - 1 - driven if board.transposed else driven
         for some in _chunks(count, max(1, IN_CACHE // 8 // board.shape[1] ** 2)):
             line = None if places is None else places[some]
-            frames = board.turn(cells if len(cells) == 1 else cells[some])
+            frames = board.transpose(cells if len(cells) == 1 else cells[some])
             with np.errstate(all="ignore"):  # boards with a NaN are solved again below
-                volts[some] = board.turn(_read(design, ours.part(some), frames, line))
+                volts[some] = board.transpose(_read(design, ours.part(some), frames, line))
         if board.circuit.has_amplifiers:
             saturated = (volts < low) | (volts > high)
         again = (wanted & ~np.isfinite(volts)).any(axis=(1, 2))
