@@ -17,6 +17,7 @@ from ohmskin.common.arrays import FloatArray
 from ohmskin.common.geometry import Geometry
 from ohmskin.driver import MESSAGE_SCHEMAS, Contact, ContactTracker, messages_of
 from ohmskin.driver._contacts import MOST_DEAD, ContactsOfFrames, PressureView
+from ohmskin.driver._tracks import MEMORY_S
 from ohmskin.emulator import Board
 from ohmskin.errors import InputError
 
@@ -85,6 +86,19 @@ def test_of_fingers_that_jump_each_is_known_by_its_force() -> None:
     for frames in ((before, after), (after, before)):
         one, other = track([*frames], step_s=0.04)
         assert [contact.id for contact in one] == [contact.id for contact in other]
+
+
+@pytest.mark.parametrize(("frames", "step_s"), [(6, 1e-5), (200, 0.01)])
+def test_a_finger_has_the_velocity_of_the_line_through_its_places(frames: int, step_s: float) -> None:
+    """By least squares, whose weights fade with the memory of the g-h filter."""
+    rng, one, x_mm = np.random.default_rng(3), tracker(), []
+    for k in range(frames):
+        column = 4.0 + 6.0 * k / frames + rng.uniform(-0.4, 0.4)
+        (contact,) = one.update(k * step_s, bump((16, 16), 8, column, 10.0), np.zeros((16, 16)))
+        x_mm.append(contact.x_mm)
+    before_s = step_s * np.arange(1 - frames, 1)
+    slope, _ = np.polyfit(before_s, x_mm, 1, w=np.exp(before_s / MEMORY_S / 2))
+    assert one._tracks["mm_per_s"][0, 0] == pytest.approx(slope, rel=1e-3)
 
 
 @given(st.integers(0, 2**32), st.integers(1, 6))
