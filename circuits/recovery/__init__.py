@@ -1,17 +1,9 @@
 """Inverse problem of a resistive array: from readings back to cells, with an error bound for each cell.
 
-One frame, with certified bounds:
-
 ============================  =====================================================================================
-:mod:`._recover`              the stages for one frame: :func:`recover`
-:mod:`._independent_columns`  closed form where columns are independent
-:mod:`._inversion`            elsewhere: fixed-point iteration, then Newton's method (:mod:`._jacobian`)
-:mod:`._frame_model`          readings as a function of the cells
-:mod:`._unknown`              cells whose readings bound them on one side only
-:mod:`._envelope`             intervals of the others beside these
-:mod:`._determined`           cells that the readings determine at all
+:mod:`._recover`              one frame, to the last digits: the live recovery behind very fine steps
+:mod:`._recovered`            its result: resistances, status, uncertainties
 :mod:`._conditioning`         propagation of errors from the readings to the cells
-:mod:`._recovered`            the result: resistances, status, uncertainties
 ============================  =====================================================================================
 
 A stream, in bounded time per frame, begins with :func:`live_recovery` in :mod:`._live`, and gives a

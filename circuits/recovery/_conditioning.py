@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from ...common.arrays import FloatArray
 from ...errors import InputError
 from .._design import Design
-from ._frame_model import Model
-from ._jacobian import Factor
+from .._exact import read_exactly
+from .._sensitivity import board_sensitivity
 
 
 @dataclass(frozen=True)
@@ -62,18 +62,27 @@ def conditioning(design: Design, resistance: ArrayLike) -> Conditioning:
     cells = np.asarray(resistance, dtype=np.float64)
     left_out = np.isnan(cells)
     cells = design.resistance(np.where(left_out, inf, cells))
-    model, turn = Model(design), design.board.transpose
-    with np.errstate(divide="ignore"):
-        conductance = 1.0 / turn(cells)
-    if np.isinf(conductance).any():
+    # A reading is the sum of a signal, which is proportional to the drive, and a rest from the reference and offsets.
+    unlimited = design.replace(readout={"supply": (-inf, inf)})
+    board, other = unlimited.board, unlimited.replace(drive={"voltage": -design.drive.voltage}).board
+    transpose = board.transpose
+    cells = transpose(cells)
+    if (cells == 0.0).any():
         raise InputError("a shorted cell (0 ohm) has no relative error; leave it out as nan")
-    signal, _ = model.split(conductance)
-    live = (conductance > 0) & (signal != 0)
-    slope = np.where(live, model.log_slope(signal), 0.0)
-    inverse = Factor(model.board, conductance, conductance, slope, live).inverse()
-    place = turn(np.arange(cells.size).reshape(model.board.shape)).ravel()  # of each of the array's cells
+    found = board_sensitivity(board, cells)
+    signal = (found.volts - read_exactly(other, cells)[0].volts) / 2.0
+    live = np.isfinite(cells) & (signal != 0)
+    slope = np.where(live, board.circuit.log_conductance_slope(board, signal), 0.0)
+    some = live.ravel()
+    jacobian = (found.cell_conductance / cells * slope[..., None, None]).reshape(some.size, some.size)
+    inverse = np.eye(some.size)
+    try:
+        inverse[np.ix_(some, some)] = np.linalg.inv(jacobian[np.ix_(some, some)])
+    except np.linalg.LinAlgError:
+        inverse[np.ix_(some, some)] = inf
+    place = transpose(np.arange(cells.size).reshape(board.shape)).ravel()  # of each of the array's cells
     return Conditioning(
         inverse=inverse[np.ix_(place, place)],
-        volts_to_relative=turn(np.abs(slope)),
-        resistance=np.where(turn(live), cells, np.where(left_out, np.nan, cells)),
+        volts_to_relative=transpose(np.abs(slope)),
+        resistance=np.where(transpose(live), transpose(cells), np.where(left_out, np.nan, transpose(cells))),
     )

@@ -604,7 +604,15 @@ def work_for(rows: int, columns: int) -> tuple[FloatArray, FloatArray, FloatArra
 class Enclosure:
     """Bounds of one board's cells beside unknown ones."""
 
-    def __init__(self, board: Board, law: Law, shared: FloatArray, to_driver: FloatArray, to_end: FloatArray) -> None:
+    def __init__(
+        self,
+        board: Board,
+        law: Law,
+        shared: FloatArray,
+        to_driver: FloatArray,
+        to_end: FloatArray,
+        least_short: float = LEAST_SHORT_OHM,
+    ) -> None:
         """For a board and its laws.
 
         Args:
@@ -613,6 +621,7 @@ class Enclosure:
             shared: (N, M, M) ohm of wire that two cells of a row share on the way to its driver.
             to_driver: (N, M) ohm of wire between each cell and its row's driver.
             to_end: (N, M) ohm of wire between each cell and its column's end.
+            least_short: ohm, of the cells at a limit.
 
         """
         circuit, drive, (rows, columns) = board.circuit, abs(board.drive), board.shape
@@ -629,7 +638,7 @@ class Enclosure:
         )
         of_columns[BEHIND], of_columns[WIRE] = at_end + law.wire, law.wire
         of_columns[IDLE] = 1.0 / np.maximum(board.idle_resistance + law.wire, LEAST_SHORT_OHM)
-        short = 1.0 / (to_driver + LEAST_SHORT_OHM)
+        short = 1.0 / (to_driver + least_short)
         of_cells[TO_DRIVER], of_cells[SHORT], of_cells[BEHIND_CELL] = to_driver, short, at_end + own_wire
         # A short while its own row is driven: S into the column's end, per volt of drive, and V of the column.
         saturates, into_end, in_own_step = False, short, np.full(board.shape, drive)

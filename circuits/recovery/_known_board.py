@@ -10,6 +10,7 @@ import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
 from .._board import Board, broken_off
+from .._parts import LEAST_SHORT_OHM
 from ._lines import LineResistance
 from ._quick_model import QuickModel, with_resistance
 
@@ -19,6 +20,10 @@ class KnownBoard:
     """A board and its known parts. Arrays are (N, M) in line coordinates."""
 
     board: Board
+    exact: bool = False
+    """whether the model is the exact one, at many times the cost, and any frame worth a fit"""
+    least_short: float = LEAST_SHORT_OHM
+    """ohm, the least of cells at a limit"""
 
     @cached_property
     def whole(self) -> Board:
@@ -38,7 +43,7 @@ class KnownBoard:
     @cached_property
     def model(self) -> QuickModel:
         """Outputs of the sliced board."""
-        return QuickModel(self.sliced, self.lines)
+        return QuickModel(self.sliced, self.lines, exact=self.exact)
 
     @cached_property
     def wires(self) -> tuple[FloatArray, FloatArray, FloatArray]:

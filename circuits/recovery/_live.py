@@ -40,11 +40,21 @@ def live_recovery(design: Design, *, accuracy: float | None = None, lowest_ohm: 
     """
     if design.adc is None:
         raise InputError("the design has no [adc] section; expected bits and range")
-    board, rule = design.board, ValidityRule.of(accuracy)
     if lowest_ohm is None and design.cells is not None:
         lowest_ohm = min(design.cells.rest_resistance, design.cells.full_scale_resistance)
     least = 0.0 if lowest_ohm is None else lowest_ohm / _SPARE
+    return live_inverse(KnownBoard(design.board), ValidityRule.of(accuracy), least)
+
+
+def live_inverse(known: KnownBoard, rule: ValidityRule, least_ohm: float) -> LiveRecovery:
+    """The same for a board whose cells have at least so many ohm, shorts apart.
+
+    Raises:
+        InputError: the board is too large, or its circuit does not determine the cells.
+
+    """
+    board = known.board
     if why := board.circuit.ambiguity(board):
         raise InputError(f"the cells cannot be recovered from readings: {why}")
     kind = FitLive if board.circuit.port_law(board, np.zeros(board.shape[1])) is None else LawLive
-    return kind(KnownBoard(board), rule, least)
+    return kind(known, rule, least_ohm)

@@ -55,7 +55,6 @@ from ._usual_fits import (
     NO_FIT,
     SETTLED,
     SHORT_SHARE,
-    SMALL,
     UsualFits,
     changes_of,
     hold_lines,
@@ -429,7 +428,7 @@ class FitLive:
                 step[pinned] = 0.0
                 left, length = np.abs(step), float(np.abs(step).max())
                 further = _further(length / before)
-                settled = bool((left <= np.clip(SETTLED * linear.std(coarser), SMALL, LARGE)).all())
+                settled = bool((left <= np.minimum(SETTLED * linear.std(coarser), LARGE)).all())
                 if settled:
                     break
                 if length > self._longest:
@@ -508,12 +507,13 @@ class FitLive:
                 at = conductance, share, behind, by_nodes.solve
                 return _Linear(*at, lambda coarser: coarser * std, lambda coarser: nothing, {})
         jacobian = self._jacobian(cells, per_share)
-        roots, axes = _axes(jacobian)
+        values, readings, axes = _axes(jacobian)
+        roots = values**2
 
         def solve(apart: FloatArray, longest: float) -> FloatArray:
-            along, damping = axes.T @ (jacobian.T @ (apart / self._std)), WITHIN
+            along, damping = values * (apart / self._std @ readings), WITHIN
             step: FloatArray = axes @ (along / (roots + damping))
-            while not float(np.abs(step).max()) <= longest and damping < _MOST_DAMPING * roots[-1]:
+            while not float(np.abs(step).max()) <= longest and damping < _MOST_DAMPING * roots[0]:
                 damping *= _MORE_DAMPING
                 step = axes @ (along / (roots + damping))
             return step
@@ -718,15 +718,14 @@ def _further(slower: float) -> float:
     return 1.0 / (1.0 - slower) if slower < _SLOWEST else float(_BESIDE_STEPS)
 
 
-def _axes(jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Squares (n,) of the singular values of derivatives (n, n), and the matrix (n, n) of their right vectors.
+def _axes(jacobian: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Singular values (n,) of derivatives (n, n), and the matrices (n, n) of their left and right vectors.
 
     Raises:
         numpy.linalg.LinAlgError: the derivatives are not finite.
 
     """
-    normal = jacobian.T @ jacobian
-    if not np.isfinite(normal).all():
+    if not np.isfinite(jacobian).all():
         raise np.linalg.LinAlgError("derivatives that are not finite")
-    roots, axes = np.linalg.eigh(normal)
-    return np.maximum(roots, 0.0), axes
+    left, values, right = np.linalg.svd(jacobian)
+    return values, left, right.T

@@ -81,21 +81,27 @@ class LawLive:
             floating=board.floating,
             virtual_ground=board.circuit.virtual_ground,
         )
-        self._answers = Answers(known, least_ohm) if several_answers(board) else None
-        self._enclosure = Enclosure(board, self._law, shared, to_driver, to_end)
+        # A follower leaves other answers only beside shorts, but their bounds are wide.
+        several = several_answers(board) and not (known.exact and board.circuit.drives_idle_lines)
+        self._answers = Answers(known, least_ohm) if several else None
+        self._enclosure = Enclosure(board, self._law, shared, to_driver, to_end, known.least_short)
         self._model = known.model
         exact = board.plain and not (board.floating or self._law.has_leads or board.column_ohms.any())
         self._fit = None
         small = board.shape[0] * board.shape[1] <= MOST_BESIDE
         mixes = (board.circuit.mixes_cells and self._answers is None) or not self._tells
         # Bounds on all answers do not count bridges.
-        if (board.bridges and self._answers is None) or (mixes and small):
+        fits = (bool(board.bridges) and self._answers is None) or (mixes and small)
+        if fits:
             self._fit = FitLive(known, rule, least_ohm)
+        self._last_fit = self._fit
+        if known.exact and small and self._answers is None and not fits:
+            self._last_fit = FitLive(known, rule, least_ohm)
         no_reading = np.zeros(board.shape, dtype=np.int8)
         no_reading[self._shorted.any(axis=1, keepdims=True) | self._shorted.any(axis=0)] = DISTURBED
         no_reading[hidden | self._shorted] = HIDDEN
         self._no_reading, self._present = no_reading, ~(hidden | self._shorted)
-        self._frames = self._kernel(known, exact, beside_end, no_reading)
+        self._frames = self._kernel(known, exact, beside_end, no_reading, fits=fits and not exact)
         evaluations = _SHEET_EVALUATIONS if board.continuous else EVALUATIONS
         self._factors = None if exact else Factors(self._frames.kept, self._law, self._law_of_model, evaluations)
         self.usual: Callable[[Readings], Measurement | None] | None = None
@@ -104,7 +110,7 @@ class LawLive:
         self._impossible = 0
 
     def _kernel(
-        self, known: KnownBoard, exact: bool, beside_end: FloatArray, no_reading: NDArray[np.int8]
+        self, known: KnownBoard, exact: bool, beside_end: FloatArray, no_reading: NDArray[np.int8], *, fits: bool
     ) -> LawFrames:
         """What measures the frames."""
         board, law, (to_driver, to_end, column_lead) = known.board, self._law, known.wires
@@ -123,7 +129,7 @@ class LawLive:
             faulty=self._faulty,
             encloses=board.plain,
             several=self._answers is not None,
-            fits=self._fit is not None and not exact,
+            fits=fits,
         )
         farthest = np.abs(beside_end).max(axis=0)
         return LawFrames(
@@ -163,7 +169,8 @@ class LawLive:
         frame, fit, factors = self._in_lines(frame), self._fit, self._factors
         bridged = bool(self._board.bridges)  # no law of single lines holds
         # An output at a limit does not hold its line, nor what a bridge or hidden cells join with it.
-        if (bridged or not self._tells) and self._unheld(frame):
+        held = not self._unheld(frame)
+        if (bridged or not self._tells) and not held:
             return self._nothing(frame)
         if not self._tells:
             return self._nothing(frame) if fit is None else fit.read(frame)
@@ -179,7 +186,7 @@ class LawLive:
         if came == MEASURED and not bridged:
             return measured
         by_law = self._frames.by_law
-        if (opens or bridged) and fit is not None and factors is not None and self._frames.lone():
+        if (opens or bridged) and fit is not None and held and factors is not None and self._frames.lone():
             return fit.read(frame, by_law.copy())
         if bridged:
             return self._nothing(frame)
@@ -193,8 +200,8 @@ class LawLive:
             counted = counted if unknown is None else counted & ~unknown
         by_law, off = by_law.copy(), self._frames.linear + self._frames.others
         cells, left, settled = factors(by_law, self._frames.relative, off, counted, self._rule.limit)
-        if not settled and fit is not None and self._frames.lone():
-            return fit.read(frame, cells)
+        if not settled and self._last_fit is not None and held and self._frames.lone():
+            return self._last_fit.read(frame, cells)
         if self._some_hidden and settled:
             self._frames.by_hidden[...] = self._of_hidden(cells)
         self._frames.found[...], self._frames.left[...] = cells, left if settled else 0.0

@@ -19,6 +19,8 @@ ACCURACY = 0.5
 """default relative uncertainty of a conductance up to which a cell is valid. The uncertainty bounds the error, so a
 resistance is never off by a factor of two; the root mean square of errors is about a sixth of the uncertainty
 """
+MOST_NOISE = 0.95
+"""relative uncertainty of a noisy reading that an average can use"""
 SIGMAS = 3.0
 """standard deviations of the readings' noise that an uncertainty covers"""
 
@@ -69,8 +71,8 @@ class ValidityRule:
     """A cell is valid if the relative uncertainty of its conductance is at most ``limit``."""
 
     limit: float = ACCURACY
-    averages: bool = True
-    """whether noisy readings serve for estimation, valid or not: where nobody asked for an accuracy"""
+    averages: float = MOST_NOISE
+    """the same up to which noisy readings serve for estimation, valid or not: where nobody asked for an accuracy"""
 
     def __post_init__(self) -> None:
         """Raises InputError if the limit is not between 0 and 1."""
@@ -82,7 +84,7 @@ class ValidityRule:
     @classmethod
     def of(cls, accuracy: float | None) -> ValidityRule:
         """The rule for an accuracy that a user asks for; None: :data:`ACCURACY`."""
-        return cls() if accuracy is None else cls(accuracy, averages=False)
+        return cls() if accuracy is None else cls(accuracy, averages=0.0)
 
 
 class Readings(NamedTuple):

@@ -19,10 +19,8 @@ from .._adc import adc_error
 from .._board import Board
 from ._live_reading import UNCERTAIN, ValidityRule
 
-MOST_NOISE = 0.95
-"""relative uncertainty of a noisy reading that an average can use"""
-MOST_STEPS = 0.1
-"""relative uncertainty by ADC steps, likewise; averaging does not reduce it"""
+OF_STEPS = 0.105
+"""share of an uncertainty up to which noisy readings serve that ADC steps may have in it: averages do not reduce it"""
 
 
 class Constants(Record):
@@ -41,8 +39,9 @@ class Constants(Record):
     accuracy: float
     """uncertainty up to which a cell is valid"""
     averages: float
-    """1 where noisy readings serve for estimation, valid or not; else 0. So too the next ones"""
+    """uncertainty up to which noisy readings serve for estimation, valid or not"""
     scales_columns: float
+    """1 where errors of readings scale their column; else 0. So too the next ones"""
     mixes: float
     has_leads: float
     one_by_one: float
@@ -109,8 +108,8 @@ def state_one(
         shared = math.copysign(math.sqrt(size * size + 2.0 * own * size / math.sqrt(sensed)), by_column)
     why = reason[row, column]
     if why != 0:
-        noisy = why == UNCERTAIN and board.averages > 0.0 and uncertainty <= MOST_NOISE
-        if not noisy or math.sqrt(steps * steps + shared_steps * shared_steps) > MOST_STEPS:
+        noisy = why == UNCERTAIN and uncertainty <= board.averages
+        if not noisy or math.sqrt(steps * steps + shared_steps * shared_steps) > OF_STEPS * board.averages:
             return
     left = max(squares - shared * shared, 0.0)
     alone = min(own * own, left)

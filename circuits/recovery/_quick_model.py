@@ -53,8 +53,11 @@ class _Way(Enum):
 class QuickModel:
     """A board's outputs for one frame of cells: fast where the board allows it, else exact."""
 
-    def __init__(self, board: Board, lines: LineResistance) -> None:
-        """For a sliced sheet, and the shared wire of its lines."""
+    def __init__(self, board: Board, lines: LineResistance, *, exact: bool = False) -> None:
+        """For a sliced sheet, and the shared wire of its lines; ``exact``: outputs to the last digits."""
+        self._exact = exact
+        self.evaluations = 0
+        """outputs that were computed"""
         self._board, self._lines = board, lines
         lead = board.row_ohms[:, 0]
         self._lead = np.ascontiguousarray(lead)
@@ -81,7 +84,8 @@ class QuickModel:
             SolverError: parts of no resistance join sources that contradict each other.
 
         """
-        if self.has_network:
+        self.evaluations += 1
+        if self.has_network and not self._exact:
             try:
                 volts = self._quick(self._board.cell_conductance(cells))
             except np.linalg.LinAlgError:  # parts of the grid without a connection

@@ -39,9 +39,5 @@ class Recovery:
     ``resistance`` belongs to the middle of this interval. A value of 1 means that the cell may be open, and inf means
     that nothing is known about the cell.
     """
-    residual: float
-    """largest relative difference between measured and modelled readings, as apparent conductances"""
     iterations: int
     """number of model evaluations that led to the solution; 0 for the closed form"""
-    factored: int
-    """number of Jacobians that were computed and factored"""

@@ -31,8 +31,8 @@ NO_FIT = 1.5
 """half steps of readings from those of the cells: no fit yet. As many cells as readings fit closely, or it is another
 minimum
 """
-SETTLED, SMALL, LARGE = 0.3, 1e-9, 0.02
-"""standard deviations of a share: step that does not matter. Changes of one that never do, and that always do"""
+SETTLED, LARGE = 0.3, 0.02
+"""step that does not matter, in standard deviations of a share; change of one that always does"""
 SHORT_SHARE = 0.98
 """of the reading of a short, from which on a cell may be one"""
 FAR, FAR_ERRORS, LEAST_FAR = 0.4, 3.0, 0.02
@@ -272,7 +272,7 @@ def measure_fitted(
                 for other in range(count):
                     step[other] += solver[place, other] * apart
         for place in range(count):
-            if abs(step[place]) > min(max(SETTLED * spread[place], SMALL), LARGE):
+            if abs(step[place]) > min(SETTLED * spread[place], LARGE):
                 settled = False
         if settled and number > 0:
             break
