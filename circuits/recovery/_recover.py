@@ -26,7 +26,7 @@ from .._sections import Adc
 from ..solvers import ULP
 from ._known_board import KnownBoard
 from ._live import live_inverse
-from ._live_reading import SIGMAS, Readings, Reason, ValidityRule
+from ._live_reading import SIGMAS, LiveRecovery, Readings, Reason, ValidityRule
 from ._recovered import Recovery, Status
 
 _READ_TOLERANCE = 1e4  # largest relative error of a cell that counts as read, over the requested accuracy
@@ -34,8 +34,8 @@ _FINER = 1e-2  # error of the readings over the drive and the requested accuracy
 _ROUNDING = 64.0 * ULP  # of a reading, over the largest one
 _KNOWN = 0.999  # relative uncertainty from which on nothing is known of a cell
 _MARGIN = 1.5  # for bounds beside cells of unknown size, which are of first order
-_FRAMES = 24  # repetitions until steps have ended
-_AGAIN = 3  # recoveries with larger errors
+_FRAMES = 12  # repetitions until steps have ended
+_COARSER = 30.0  # errors of the next recovery over those of one that failed, at least
 _REFUSED = (
     "no cell resistances were found that give these readings; check that the design is that of the board, and that its "
     "circuit determines the cells"
@@ -82,31 +82,39 @@ class Recoverer:
             raise InputError(f"least_ohm is {least_ohm}; expected ohm >= 0")
         self._design, self._board, self._accuracy = design, design.board, accuracy
         behind = _behind_fine_steps(design.board, accuracy)
+        self._least_ohm = least_ohm
         self._exact = KnownBoard(behind, exact=True, least_short=max(least_ohm, LEAST_SHORT_OHM))
         try:
-            self._live = live_inverse(self._exact, ValidityRule(_KNOWN, averages=inf), least_ohm)
+            self._live = self._begun()
         except InputError as error:
             raise SolverError(str(error)) from error
         self._error = adc_error(behind)
         self._joined = any(fault.ohms == 0 for fault in behind.shorts + behind.bridges)
 
+    def _begun(self) -> LiveRecovery:
+        """The live recovery, before its first frame."""
+        return live_inverse(self._exact, ValidityRule(_KNOWN, averages=inf), self._least_ohm)
+
     def __call__(self, volts: ArrayLike, *, clipped: ArrayLike | None = None) -> Recovery:
         """As :func:`recover`."""
         measured = _checked(self._design, volts)
         limited, under_range = self._limits(measured, clipped)
-        largest = float(np.abs(measured).max())
+        largest = max(float(np.abs(measured).max()), abs(self._board.drive))
         noise = _ROUNDING * largest / SIGMAS
         before = self._exact.model.evaluations
         bounded = np.zeros(measured.shape, dtype=np.bool_) if limited is None else limited
         if under_range is not None:  # an open cell may stand at a limit which is that of no current
             bounded = bounded | (under_range & (np.abs(measured - self._board.level) > self._error + SIGMAS * noise))
-        for _ in range(_AGAIN):
+        error, found, solved = self._error + SIGMAS * noise, None, False
+        while not solved and error <= _READ_TOLERANCE * self._accuracy * largest:
+            noise = (error - self._error) / SIGMAS
             found = self._repeated(Readings.of(measured, noise, limited=limited, under_range=under_range))
-            off = 0.0 if bounded.any() else self._missed(found, measured)
-            if off <= self._error + SIGMAS * noise:
-                break
-            noise = off / SIGMAS
-        if noise > _READ_TOLERANCE * self._accuracy * largest:  # these cells do not give the readings
+            off = 0.0 if bounded.any() or found is None else self._missed(found, measured)
+            solved = found is not None and off <= error
+            error = max(off, _COARSER * error)
+        if found is None:
+            raise SolverError(_REFUSED)
+        if not solved:  # these cells do not give the readings
             found = Measurement.unknown(measured.shape, Reason.UNCERTAIN)
         return self._recovery(found, self._apparent(measured), bounded, self._exact.model.evaluations - before)
 
@@ -126,18 +134,17 @@ class Recoverer:
         bottom = bottom & ~top
         return top if top.any() else None, bottom if bottom.any() else None
 
-    def _repeated(self, frame: Readings) -> Measurement:
-        """The frame after as many repetitions as its steps take."""
+    def _repeated(self, frame: Readings) -> Measurement | None:
+        """The frame after as many repetitions as its steps take; None if they lead to no cells."""
         for _ in range(_FRAMES):
             try:
                 found = self._live(frame)
-            except SolverError as error:
-                raise SolverError(_REFUSED) from error
+            except SolverError:
+                self._live = self._begun()
+                return None
             if np.isfinite(found.conductance).any() and not (found.reason == Reason.UNSETTLED).any():
                 break
-        if (found.reason == Reason.UNSETTLED).all():
-            raise SolverError(_REFUSED)
-        return found
+        return None if (found.reason == Reason.UNSETTLED).all() else found
 
     def _apparent(self, volts: FloatArray) -> FloatArray:
         """S (rows, columns), as if each cell were alone."""
