@@ -203,6 +203,21 @@ UNDETERMINED = {
 }
 
 
+def test_a_pressed_cell_is_read_where_networks_hold_idle_rows() -> None:
+    """It reads more than a short would behind the resistance that drives its row, which the row's end is part of."""
+    resistors = {"selected": ["V1 drive 0 3.3", "R1 drive line 70", "R2 line 0 10k"], "idle": ["R1 line 0 70"]}
+    sections = {"row_end": resistors, "column_end": {"parts": ["R1 line out 0", "R2 out 0 3.3k"]}}
+    array = {"rows": 4, "columns": 4, "row_lead": 5.0, "column_lead": 5.0}
+    design = Design.model_validate({"array": array, "adc": {"bits": 12, "range": [0.0, 5.0]}} | sections)
+    cells = np.full((4, 4), 1e4)
+    cells[2, 1] = 1e3
+    live = live_recovery(design)
+    for _ in range(3):
+        reading = live(Readings.of(volts_of_codes(design, adc_codes(design, scan(design, cells).volts))))
+    assert reading.valid.all()
+    assert (np.abs(reading.conductance * cells - 1) <= reading.uncertainty).all()
+
+
 SEVERAL_ANSWERS = {"multiplexer in groups, others low"}
 """boards whose idle columns conduct better than those that are read: readings need not be valid"""
 

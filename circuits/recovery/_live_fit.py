@@ -173,7 +173,9 @@ class FitLive:
         self._hidden, self._shunt = known.cut_off, known.shunt
         self._gone = self._hidden | np.isinf(board.series_ohms) | known.shorted
         self._present = ~(self._gone & ~self._hidden).ravel()  # else known to conduct nothing, or as a short does
-        self._leads: FloatArray = sum(known.wires, np.zeros(board.shape))
+        # What a network at the row's end has before its pull-down is part of the reading of a cell alone.
+        of_end = board.row_lead[:, None] if board.described is not None else 0.0
+        self._leads: FloatArray = np.maximum(sum(known.wires, np.zeros(board.shape)) - of_end, 0.0)
         self._quick = known.model
         self._sheet = SheetModel(known.whole, self._quick) if board.continuous else None
         self._model = self._quick if self._sheet is None else self._sheet
@@ -190,7 +192,8 @@ class FitLive:
             for ohms in (self._leads, np.zeros(board.shape))
         )
         self._short, self._full = np.where(self._gone, inf, ideal), most  # V, of a short with and without leads
-        at_ends = np.abs(board.circuit.ideal_volts(board, board.row_ohms[:, :1] + board.column_lead) - board.level)
+        at_ends = np.maximum(board.row_ohms[:, :1] - of_end, 0.0) + board.column_lead
+        at_ends = np.abs(board.circuit.ideal_volts(board, at_ends) - board.level)
         self._beyond = np.where(self._gone | board.circuit.virtual_ground, inf, at_ends)  # V, no cells read more
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
         self._open = (_LEAST_READING * self._half_step * per_volt).ravel()  # S, as good as open

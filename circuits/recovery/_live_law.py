@@ -81,8 +81,9 @@ class LawLive:
             floating=board.floating,
             virtual_ground=board.circuit.virtual_ground,
         )
-        # A follower leaves other answers only beside shorts, but their bounds are wide.
-        several = several_answers(board) and not (known.exact and board.circuit.drives_idle_lines)
+        # Bounds are wide behind followers, which leave other answers beside shorts only, and of columns in groups.
+        wide = known.exact and (board.circuit.drives_idle_lines or board.shared_by < board.shape[1])
+        several = several_answers(board) and not wide
         self._answers = Answers(known, least_ohm) if several else None
         self._enclosure = Enclosure(board, self._law, shared, to_driver, to_end, known.least_short)
         self._model = known.model
