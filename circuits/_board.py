@@ -6,48 +6,26 @@ are in line coordinates, which :mod:`._parts` explains.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from math import inf
-from typing import Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.arrays import FloatArray
+from ..common.config import Section
 from ._parts import Parts
 from ._readout import Readout
-from ._sections import Adc, Array, Drive, Fault, PerLine, Sheet
-from .ends import GROUND, LINE, OUT, REF, Card, ColumnEnd, Crosspoint, LineEnds, Network, Reference, RowEnd, amplifier
+from ._sections import Adc, Fault
+from .ends import GROUND, LINE, OUT, REF, Card, LineEnds, Network, amplifier
 from .readouts import CIRCUITS, LinearReadout, ReadoutCircuit, networks
 
-
-class Sections(Protocol):
-    """What a board is made of: the sections of a :class:`._design.Design`."""
-
-    @property
-    def array(self) -> Array: ...
-    @property
-    def sheet(self) -> Sheet: ...
-    @property
-    def drive(self) -> Drive: ...
-    @property
-    def readout(self) -> Readout: ...
-    @property
-    def adc(self) -> Adc | None: ...
-    @property
-    def fault(self) -> tuple[Fault, ...]: ...
-    @property
-    def row_end(self) -> RowEnd | None: ...
-    @property
-    def column_end(self) -> ColumnEnd | None: ...
-    @property
-    def reference(self) -> Reference | None: ...
-    @property
-    def crosspoint(self) -> Crosspoint | None: ...
-    @property
-    def is_described(self) -> bool: ...
+if TYPE_CHECKING:
+    from ._design import Design
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,44 +40,55 @@ class Board(Parts):
     """None: the outputs are not converted"""
 
     @classmethod
-    def of(cls, design: Sections, *, by_nodes: bool = False) -> Board:
+    def of(cls, design: Design, *, by_nodes: bool = False, values: Mapping[str, FloatArray] | None = None) -> Board:
         """Expand a design. Users take ``design.board``, which keeps the result.
 
-        With ``by_nodes`` the lines end in networks, even where they are Thevenin equivalents or the design names none.
+        Args:
+            design: any.
+            by_nodes: the lines end in networks, even where they are Thevenin equivalents or the design names none.
+            values: (S, lines) or (S, 1) of parts, by their keys in the design: a stack, of a design without networks.
+
         """
         array, drive, readout, faults = design.array, design.drive, design.readout, design.fault
         circuit = CIRCUITS[readout.circuit]
         turned = circuit.senses == "rows"
-        row_keys, column_keys = (array.row_lead, array.row_segment), (array.column_lead, array.column_segment)
-        driven, sensed = (column_keys, row_keys) if turned else (row_keys, column_keys)
+        driven, sensed = ("column", "row") if turned else ("row", "column")
         rows, columns = array.shape[::-1] if turned else array.shape
 
-        def each(value: PerLine, count: int) -> FloatArray:
-            lines: FloatArray = np.full(count, value, dtype=np.float64)
-            return lines[::-1] if turned else lines
+        def each(section: Section, key: str, count: int) -> FloatArray:
+            given = np.asarray(getattr(section, key) if values is None else values[key], dtype=np.float64)
+            lines = np.broadcast_to(given, (*given.shape[:-1], count))
+            return np.array(lines[..., ::-1] if turned else lines)
+
+        def across(section: Section, key: str) -> FloatArray:
+            ends = each(section, key, columns)
+            return ends if values is None else ends[:, None]
+
+        def single(section: Section, key: str) -> Any:
+            return getattr(section, key) if values is None else values[key][..., None]
 
         if turned:
             faults = tuple(_turned_fault(fault, array.shape) for fault in faults)
         severed = series_ohms(faults, "broken-column", (rows, columns))
-        row_ohms = np.repeat(each(driven[1], rows)[:, None], columns, axis=1)
-        row_lead = each(driven[0], rows)
-        row_ohms[:, 0] = row_lead
-        column_ohms = np.repeat(each(sensed[1], columns)[None], rows, axis=0)
-        column_ohms[0] = 0.0
-        column_ohms[1:] += severed[:-1]
+        row_ohms = np.repeat(each(array, f"{driven}_segment", rows)[..., None], columns, axis=-1)
+        row_lead = each(array, f"{driven}_lead", rows)
+        row_ohms[..., 0] = row_lead
+        column_ohms = np.repeat(each(array, f"{sensed}_segment", columns)[..., None, :], rows, axis=-2)
+        column_ohms[..., 0, :] = 0.0
+        column_ohms[..., 1:, :] += severed[:-1]
         board = cls(
             shape=(rows, columns),
             row_ohms=row_ohms + series_ohms(faults, "broken-row", (rows, columns)),
             column_ohms=column_ohms,
-            column_lead=each(sensed[0], columns) + severed[-1],
+            column_lead=across(array, f"{sensed}_lead") + severed[-1],
             series_ohms=series_ohms(faults, "open-cell", (rows, columns)),
             faults=faults,
-            reference=each(readout.reference_resistance, columns),
-            gain=each(readout.open_loop_gain, columns),
-            offset=each(readout.offset_voltage, columns),
-            bias=each(readout.bias_current, columns),
-            drive=drive.voltage,
-            level=readout.reference_voltage,
+            reference=across(readout, "reference_resistance"),
+            gain=across(readout, "open_loop_gain"),
+            offset=across(readout, "offset_voltage"),
+            bias=across(readout, "bias_current"),
+            drive=single(drive, "voltage"),
+            level=single(readout, "reference_voltage"),
             supply=readout.supply,
             turned=turned,
             floating=drive.idle_rows != "ground" and not circuit.drives_idle_lines,
@@ -112,6 +101,7 @@ class Board(Parts):
             described=None,
             continuous=array.sheet == "continuous",
             sheet=design.sheet,
+            steps=None,
             circuit=circuit,
             readout=readout,
             adc=design.adc,
@@ -129,7 +119,7 @@ class Board(Parts):
         return self.circuit.linear(self)
 
 
-def _with_networks(board: Board, design: Sections, *, by_nodes: bool) -> Board:
+def _with_networks(board: Board, design: Design, *, by_nodes: bool) -> Board:
     """The board with the networks of the design at its lines, and those that its other keys stand for."""
     ends = _line_ends(board, design)
     floating, pull, lead = board.floating, board.pull, board.row_lead
@@ -179,7 +169,7 @@ def _with_networks(board: Board, design: Sections, *, by_nodes: bool) -> Board:
     )
 
 
-def _line_ends(board: Board, design: Sections) -> LineEnds:
+def _line_ends(board: Board, design: Design) -> LineEnds:
     """Cards of all ends; of those that are not described, as the other keys of the design say."""
     if board.circuit.drives_idle_lines:
         return _followed(board)

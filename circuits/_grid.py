@@ -8,6 +8,7 @@ from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..errors import SolverError
 from . import _sheet as sheet
 from ._board import Board
+from ._parts import at_any
 from .solvers import LEAST_OHM, Element, Network, Rounded, port_conductances, reduce, siemens
 
 
@@ -36,7 +37,7 @@ def grid_network(board: Board, cells: FloatArray) -> Network:
     cells of a sliced sheet, bridges. Ports: row terminals, then the column lines' last crosspoints. Pull-downs are one
     more column, ahead of the others.
     """
-    rows, columns = board.lines.row.shape
+    rows, columns = board.lines.row.shape[-2:]
     ahead_of_cells = int(board.pulled)
     batch = cells.shape[:-2]
     row_node = rows + np.arange(rows * columns).reshape(rows, columns)
@@ -44,7 +45,8 @@ def grid_network(board: Board, cells: FloatArray) -> Network:
     line = board.lines
     ahead = np.column_stack([np.arange(rows), row_node[:, :-1]])
     ends = [np.stack([ahead, row_node], axis=-1), np.stack([column_node[:-1], column_node[1:]], axis=-1)]
-    values = [np.broadcast_to(part, (*batch, *part.shape)) for part in (line.row, line.column[1:])]
+    along = line.row, line.column[..., 1:, :]
+    values = [np.broadcast_to(part, (*batch, *part.shape[-2:])) for part in along]
     row_at, column_at = np.indices((rows, columns)).reshape(2, -1)
     crosspoints = np.column_stack([row_at, column_at]).astype(np.float64)
     terminals = np.column_stack([np.arange(rows), np.full(rows, -1)]).astype(np.float64)
@@ -102,19 +104,19 @@ def refuse_contradictions(board: Board, cells: FloatArray) -> BoolArray | None:
 
     if cells.min() > LEAST_OHM and not any(fault.ohms <= LEAST_OHM for fault in board.faults):
         return None
-    row, column = np.isinf(board.lines.row), np.isinf(board.lines.column)
-    rows, columns = board.lines.row.shape
+    row, column = (at_any(np.isinf(part), 2) for part in (board.lines.row, board.lines.column))
+    rows, columns = row.shape
     ahead_of_cells = int(board.pulled)
     drivers, ends = np.arange(rows), rows + np.arange(columns)
     on_row = rows + columns + np.arange(rows * columns).reshape(rows, columns)
     on_column = on_row + rows * columns
-    ideal = np.insert(board.circuit.ideal_inputs(board), 0, [False] * ahead_of_cells)
+    ideal = np.insert(at_any(board.circuit.ideal_inputs(board), 1), 0, [False] * ahead_of_cells)
     joints = [
         (np.column_stack([drivers, on_row[:, :-1]])[row], on_row[row]),
         (on_column[:-1][column[1:]], on_column[1:][column[1:]]),
         (on_column[-1][ideal], ends[ideal]),
     ]
-    shorted = np.isinf(board.cell_conductance(cells)).any(axis=tuple(range(cells.ndim - 2)))
+    shorted = at_any(np.isinf(board.cell_conductance(cells)), 2)
     for fault in board.bridges:
         if fault.ohms <= LEAST_OHM:
             line = on_row if fault.kind == "bridged-rows" else on_column

@@ -169,7 +169,7 @@ class _Together:
     def of(cls, design: Design, boards: Boards, cells: FloatArray) -> tuple[OperatingPoint, BoolArray] | None:
         """All boards, and which of them were solved: neither at a limit of an output nor with contradicting parts."""
         board, count = design.board, len(cells)
-        ours = boards.turned if board.turned else boards
+        ours = boards.in_lines(design)
         rows, columns = board.shape
         size = max(1, IN_CACHE // (rows * rows * columns))
         parts = []

@@ -8,19 +8,25 @@ circuits these are the array's own rows and columns. A circuit that drives colum
 always driven ahead of column 0, and column j is always sensed behind row N - 1.
 
 Readout circuits take :class:`Parts`. All other code takes a :class:`._board.Board`: the parts with their circuit.
+
+Stacks
+------
+A *stack* is S boards of one design with values of their own (Monte Carlo, corners of tolerances). Its arrays have one
+more axis, ahead: (S, N, M) in place of (N, M), (S, N) of rows, (S, 1, M) in place of (M,) and (S, 1, 1) in place of a
+number, so that all of them broadcast against readings (S, N, M). Board k reads frame k of cells (S, N, M).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isfinite
-from typing import Literal, TypeVar
+from typing import Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.arrays import BoolArray, FloatArray
+from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._sections import Fault, Sheet
 from .ends import Columns, LineEnds
 from .solvers import Lines, siemens
@@ -29,6 +35,16 @@ LEAST_SHORT_OHM = 1e-3
 """least resistance of a shorted cell with its contacts, for bounds on the effect of a short on other readings"""
 
 T = TypeVar("T", bound=np.generic)
+
+
+def of_columns(values: FloatArray) -> FloatArray:
+    """Values of columns as (M,) or (S, M), of (M,) or (S, 1, M)."""
+    return values if values.ndim == 1 else values[..., 0, :]
+
+
+def at_any(flags: BoolArray, axes: int) -> BoolArray:
+    """Where any board of a stack has a flag; the last ``axes`` axes are those of one board."""
+    return np.asarray(flags.any(axis=tuple(range(flags.ndim - axes))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +99,24 @@ class Parts:
     """whether the sheet conducts from cell to cell"""
     sheet: Sheet
     """geometry of a continuous sheet"""
+
+    steps: IntArray | None
+    """rows that are selected; readings of the others, where they cost more, are NaN; None: all"""
+
+    @property
+    def is_stack(self) -> bool:
+        """Whether these are the parts of several boards."""
+        return self.row_ohms.ndim > 2
+
+    def member(self, number: int) -> Self:
+        """One board of a stack; a board that is none is every frame's."""
+        if not self.is_stack:
+            return self
+        number %= len(self.row_ohms)  # a stack of one reads all frames
+        own = {name: getattr(self, name)[number] for name in ("row_ohms", "column_ohms", "row_lead")}
+        own |= {name: getattr(self, name)[number, 0] for name in ("column_lead", "reference", "gain", "offset", "bias")}
+        own |= {name: float(getattr(self, name)[number, 0, 0]) for name in ("drive", "level")}
+        return replace(self, **own)
 
     @property
     def line_kinds(self) -> tuple[str, str]:
@@ -164,9 +198,9 @@ class Parts:
         """Series conductances along the lines in S, with row leads, without column leads."""
         row_ohms, column_ohms = self.row_ohms, self.column_ohms
         if self.pulled:
-            row_ohms = np.insert(row_ohms, 0, self.row_lead, axis=1)
-            row_ohms[:, 1] -= self.row_lead
-            column_ohms = np.insert(column_ohms, 0, 0.0, axis=1)
+            row_ohms = np.concatenate([self.row_lead[..., None], row_ohms], axis=-1)
+            row_ohms[..., 1] -= self.row_lead
+            column_ohms = np.insert(column_ohms, 0, 0.0, axis=-1)
         return Lines(siemens(row_ohms), siemens(column_ohms))
 
     @cached_property

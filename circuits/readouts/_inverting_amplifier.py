@@ -62,9 +62,9 @@ class InvertingAmplifier(Terminated):
         elif saturated.any():
             frames = ports.reshape(-1, *ports.shape[-2:])
             parts = [part.reshape(-1, *board.shape) for part in (volts, saturated, magnitude, cancelled)]
-            for frame in np.flatnonzero(parts[1].any(axis=(1, 2))):
+            for frame in np.flatnonzero(parts[1].any(axis=(1, 2))).tolist():
                 of_frame = Reading(*(part[frame] for part in parts))
-                *limited, own, _ = self._read_saturated(board, frames[frame], of_frame)
+                *limited, own, _ = self._read_saturated(board.member(frame), frames[frame], of_frame)
                 for part, instead in zip(parts, limited, strict=True):
                     part[frame] = instead
                 relative = max(relative, own)

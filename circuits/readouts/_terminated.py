@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import FloatArray
-from .._parts import Parts
+from .._parts import Parts, of_columns
 from ..solvers import Lines, Wires
 from ._adjoint import SensitivityGroup, terminated_groups
 from ._circuit import Reading, ReadoutCircuit
@@ -110,18 +110,19 @@ class Terminated(ReadoutCircuit):
         if ends is None:
             return None
         resistance = ends.resistance + board.column_lead
-        if (ends.source != ends.source[0]).any() or np.isinf(resistance).any():
+        source = ends.source[..., :1]
+        if (ends.source != source).any() or np.isinf(resistance).any():
             return None
         with np.errstate(divide="ignore"):
-            ended = Lines(board.lines.row, board.lines.column, 1.0 / resistance)
+            ended = Lines(board.lines.row, board.lines.column, 1.0 / of_columns(resistance))
         return LinearReadout(
             output=ends.output,
             slope=ends.slope,
             drive=board.drive,
-            source=float(ends.source[0]),
+            source=source if board.is_stack else source.item(),
             supply=board.supply,
             lines=ended,
-            wires=Wires.of(ended),
+            wires=None if board.is_stack else Wires.of(ended),
         )
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
-from .._parts import Parts
+from .._parts import Parts, at_any, of_columns
 from ..solvers import ULP, siemens
 from ._adjoint import SensitivityGroup, TiedPorts
 from ._circuit import Contradiction, Reading
@@ -117,7 +117,7 @@ class VoltageFeedback(VoltageDivider):
         column = balance.column(board)
         above_idle = column - board.loop_share * (board.level + column + board.offset) + board.level
         own = np.sqrt(balance.driven + balance.idle)
-        row = np.sqrt(conductance_into_rows(ports, board.shape[0], board.column_lead))[..., None]
+        row = np.sqrt(conductance_into_rows(ports, board.shape[0], of_columns(board.column_lead)))[..., None]
         with np.errstate(invalid="ignore"):  # inf times 0 where a conductance is infinite
             field = row * np.abs(board.drive - column + above_idle) + own * np.abs(above_idle)
             error: FloatArray = board.loop_share * relative * own * field / balance.slope
@@ -140,7 +140,8 @@ class VoltageFeedback(VoltageDivider):
         several_rows, several_columns = (length > 1 for length in board.shape)
         # If a row and a column are joined, the follower holds the column while the row is driven, and the row while the
         # column is sensed. The latter is a contradiction only if the follower is ideal.
-        joined &= several_columns | (several_rows & np.isinf(board.gain))
+        ideal = at_any(np.isinf(board.gain), 1)
+        joined &= several_columns | (several_rows & ideal)
         if joined.any():
             row, column = (int(place) for place in np.argwhere(joined)[0])
             return Contradiction(
@@ -149,7 +150,7 @@ class VoltageFeedback(VoltageDivider):
             )
         for column, island in enumerate(columns):
             for other in np.flatnonzero(columns[:column] == island).tolist():
-                if np.isinf(board.gain[column]) or np.isinf(board.gain[other]):
+                if ideal[column] or ideal[other]:
                     return Contradiction(
                         f"the ends of columns {other} and {column}, which are the ideal follower's input and output,",
                         "array.column_lead, or readout.open_loop_gain a finite value",

@@ -139,15 +139,16 @@ class Dissection:
 
         Args:
             cells: (frames, N, M) S.
-            row: (N, M) S on the left of each crosspoint.
-            column: (N, M) S above each crosspoint.
+            row: (N, M) S on the left of each crosspoint, or (frames, N, M).
+            column: likewise, S above each crosspoint.
 
         Returns:
             (frames, ...) S of the last level, padding included, and bounds (frames,) on the relative rounding errors.
             The first array is overwritten by the next call.
 
         """
-        fill_leaves(self._plan, (cells, row[None], column[None]), self._given)
+        each = (part.reshape(-1, *part.shape[-2:]) for part in (cells, row, column))
+        fill_leaves(self._plan, tuple(each), self._given)
         given = self._given.reshape(len(self._given), -1)
         relative = reduce_leaves(self._plan.leaf, given, self._far_rims, self._leaves, self._scratch)
         relative = relative.reshape(self._given.shape[1:])
@@ -198,8 +199,8 @@ def dissect(
 
     Args:
         cells: (frames, N, M) S, finite.
-        row: (N, M) S on the left of each crosspoint, finite.
-        column: (N, M) S above each crosspoint, finite.
+        row: (N, M) S on the left of each crosspoint, finite, or (frames, N, M).
+        column: likewise, S above each crosspoint.
         transfer_only: whether to compute the conductances between rows and columns only.
 
     Returns:

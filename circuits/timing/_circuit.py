@@ -28,7 +28,7 @@ from ...errors import InputError
 from .._board import Board
 from .._design import Design
 from .._grid import exact_ports
-from .._population import Boards, column_ends
+from .._population import Boards
 from ..readouts import CIRCUITS, one_driven, terminate
 
 _WORST_CONDITION = 1e8
@@ -260,42 +260,20 @@ class ColumnNetworks(NamedTuple):
 
     @classmethod
     def of(cls, design: Design, boards: Boards, cells: FloatArray) -> ColumnNetworks:
-        """Networks of boards in line coordinates with cells (B, N, M) in ohm."""
-        together = column_ends(design, boards, cells)
-        if together is not None and all(np.isfinite(part).all() for part in together):
-            found = cls(*together)
-        else:
-            ours = boards.turned if design.board.turned else boards
-            each = [_network(ours.design(design, b).board, frame) for b, frame in enumerate(cells)]
-            found = cls(*(np.stack(parts) for parts in zip(*each, strict=True)))
-        every = np.arange(found.conductance.shape[-1])
-        leak = np.maximum(found.conductance.max(axis=(1, 2, 3)), 1.0 / boards.reference_resistance.max(axis=1))
-        found.conductance[..., every, every] += _LEAK * leak[:, None, None]
-        return found
-
-
-def _network(board: Board, cells: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """As :meth:`ColumnNetworks.of` for one board of any kind."""
-    rows, columns = board.shape
-    network = terminate(exact_ports(board, cells).value, rows + board.pulled, board.column_lead).value
-    every = np.arange(columns)
-
-    def conductance(between: FloatArray, to_rows: FloatArray) -> FloatArray:
-        matrix = -between
-        matrix[every, every] = to_rows + between.sum(axis=1) - between[every, every]
-        return matrix
-
-    if not board.floating:
-        grounded = conductance(network[rows:, rows:], network[rows:, :rows].sum(axis=1))
-        return grounded[None], board.drive * network[:rows, rows:]
-    found, currents = [], []
-    for alone, _ in one_driven(network, rows):
-        grounded_ends = len(alone) - columns  # the selected row, and the reference behind pull-downs
-        found.append(
-            conductance(alone[grounded_ends:, grounded_ends:], alone[:grounded_ends, grounded_ends:].sum(axis=0))
-        )
-        currents.append(board.drive * alone[0, grounded_ends:])
-    return np.stack(found), np.stack(currents)
+        """Networks of boards with cells (B, rows, columns) in ohm."""
+        board = boards.board(design)
+        rows, columns = board.shape
+        network = terminate(exact_ports(board, board.turn(cells)).value, rows + board.pulled, board.column_lead).value
+        # Where rows float, the selected row and the reference behind pull-downs are ahead of the columns.
+        steps = [alone for _, alone, _ in one_driven(network, rows)] if board.floating else [network]
+        ends = slice(-columns, None)
+        found = np.stack([-alone[..., ends, ends] for alone in steps], axis=1)
+        totals = np.stack([alone[..., ends, :].sum(axis=-1) for alone in steps], axis=1)
+        drivers = [alone[..., : 1 if board.floating else rows, ends] for alone in steps]
+        every = np.arange(columns)
+        leak = np.maximum(totals.max(axis=(1, 2)), 1.0 / boards.reference_resistance.max(axis=1))
+        found[..., every, every] += totals + _LEAK * leak[:, None, None]
+        return cls(found, board.drive * np.concatenate(drivers, axis=1))
 
 
 def sampler_delay(board: Board) -> float:

@@ -111,7 +111,7 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
             raise InputError(str(error)) from error
     if board.circuit.has_amplifiers and not board.circuit.virtual_ground:
         require_amplifiers(board)
-    cells = board.turn(design.resistance(resistance))
+    cells = design.resistance(resistance)
     part, adc = design.readout, design.adc
     parts: dict[str, FloatArray] = {}
     thermal_energy = BOLTZMANN * part.temperature  # k T, in J
@@ -139,9 +139,9 @@ def _amplifier_noise(design: Design, cells: FloatArray, thermal_energy: float) -
     every = np.arange(columns)
     readings = every[:, None] if board.multiplexed else every[None]
     boards = Boards.of(design)
-    ours = boards.turned if board.turned else boards
+    ours = boards.in_lines(design)
     parts: dict[str, FloatArray] = {}
-    networks = ColumnNetworks.of(design, ours, cells[None]).conductance
+    networks = ColumnNetworks.of(design, boards, cells[None]).conductance
     for group in range(networks.shape[1]):
         rows = slice(None) if networks.shape[1] == 1 else group
         for loaded in readings:

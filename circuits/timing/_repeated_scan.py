@@ -100,7 +100,7 @@ class RepeatedScan:
     """Prepared once for B boards, then evaluated for any row period."""
 
     def __init__(self, design: Design, boards: Boards, cells: FloatArray) -> None:
-        """For boards in line coordinates with cells (B, N, M) in ohm: amplifiers that hold their columns, or loads."""
+        """For boards with cells (B, rows, columns) in ohm: amplifiers that hold their columns, or loads."""
         self._board = board = design.board
         adc, columns = board.adc, board.shape[1]
         self._acquisition = adc.acquisition_time if adc else 0.0
@@ -109,7 +109,8 @@ class RepeatedScan:
         self._one_by_one = board.circuit.columns_one_by_one(board)
         self._states = list(self._possible_states())
         networks = ColumnNetworks.of(design, boards, cells)
-        self._groups = [self._phases(boards, networks.conductance[:, g]) for g in range(networks.conductance.shape[1])]
+        ours = boards.in_lines(design)
+        self._groups = [self._phases(ours, networks.conductance[:, g]) for g in range(networks.conductance.shape[1])]
         """phases of each row's step, or those that all rows share"""
         rows = range(board.shape[0])
         self._order = list(reversed(rows)) if board.turned else list(rows)  # a scan goes by the array's line numbers

@@ -47,7 +47,7 @@ class BoardsInTime:
         self._board = board = design.board
         if board.circuit.has_amplifiers and not board.circuit.virtual_ground:
             require_amplifiers(board)
-        self._scan = RepeatedScan(design, boards.turned if board.turned else boards, board.turn(cells))
+        self._scan = RepeatedScan(design, boards, cells)
         self.briefest = self._scan.briefest
         """shortest row period in s: the acquisitions of all columns, if one sampling capacitor serves them"""
         self.settled: FloatArray = board.turn(self._scan.settled) + boards.reference_voltage[..., None]
@@ -354,10 +354,10 @@ class _Loops(NamedTuple):
     def of(cls, design: Design, boards: Boards, cells: FloatArray) -> _Loops:
         board = design.board
         require_amplifiers(board)
-        ours = boards.turned if board.turned else boards
+        ours = boards.in_lines(design)
         if np.isinf(ours.gain_bandwidth).any():
             raise InputError("readout.gain_bandwidth is infinite: an amplifier without a pole has no phase margin")
-        network = ColumnNetworks.of(design, ours, board.turn(cells)).conductance
+        network = ColumnNetworks.of(design, boards, cells).conductance
         parts = 1 / ours.reference_resistance, 1 / ours.open_loop_gain, 2 * pi * ours.gain_bandwidth
         count, grids, columns = network.shape[:3]
         each = [
