@@ -21,7 +21,6 @@ from ._design import Design
 from ._exact import read_exactly
 from ._scan import scan
 from ._sections import PerLine
-from .readouts import EndParts, Ends, Terminated
 
 _OF_ROW, _OF_COLUMN = {"section": "array", "lines": "rows"}, {"section": "array", "lines": "columns"}
 _OF_READOUT, _SHARED = {"section": "readout", "lines": "sensed"}, {"section": "readout", "lines": "board"}
@@ -79,20 +78,6 @@ class Boards:
     def count(self) -> int:
         """S, or 1 if all boards are alike."""
         return max(map(len, (*(getattr(self, name) for name in self.names()), *self.ends.values())))
-
-    @property
-    def at_ends(self) -> EndParts:
-        """What is at the columns' ends, of boards in line coordinates."""
-        slack = 1.0 / self.open_loop_gain
-        return EndParts(
-            self.reference_resistance, slack, self.offset_voltage, self.bias_current, self.reference_voltage
-        )
-
-    def read_ends(self, design: Design) -> Ends:
-        """The same as Thevenin equivalents, of columns that are read."""
-        circuit = design.board.circuit
-        assert isinstance(circuit, Terminated)
-        return circuit.ends_of(design.board, self.at_ends)
 
     def board(self, design: Design) -> Board:
         """The boards as a stack (:mod:`._parts`), of a design without networks at its lines."""
@@ -210,75 +195,6 @@ def _groups(count: int, size: int, lines: IntArray | None) -> Iterator[tuple[Int
         numbers = np.arange(count) if line is None else np.flatnonzero(np.broadcast_to(lines == line, count))
         for first in range(0, len(numbers), size):
             yield numbers[first : first + size], line
-
-
-class Rows(NamedTuple):
-    """The row lines of S boards, seen from the column nodes."""
-
-    admittance: FloatArray
-    """(S, N, M, M) S"""
-    current: FloatArray
-    """(S, N, M) S: short-circuit current for 1 V on the driver; 0 for idle rows"""
-
-
-def row_ladders(design: Design, boards: Boards, conductance: FloatArray) -> tuple[Rows, Rows]:
-    """The row lines (S, N, ...) of selected rows, and of idle ones."""
-    board = design.board
-    passed = 1.0 / (1.0 + boards.row_lead / board.pull)  # by the divider of lead and pull-down; 1 without
-    grounded = _row_ladders(conductance, boards.row_lead * passed, boards.row_segment)
-    grounded = grounded._replace(current=grounded.current * passed[..., None])
-    idle_lead = np.full_like(boards.row_lead, board.pull)
-    return grounded, _row_ladders(conductance, idle_lead, boards.row_segment) if board.floating else grounded
-
-
-def _row_ladders(conductance: FloatArray, lead: FloatArray, segment: FloatArray) -> Rows:
-    """Schur complements of the row lines on the column nodes.
-
-    The line is a ladder. At place j its admittance is ``y_j`` away from the driver and ``w_j`` towards the driver.
-    Place j receives the fraction ``t_j`` of the voltage at place j - 1. The line's impedance matrix is then
-    ``Z_jk = prod(t_j+1 ... t_k) / (w_j + y_j)`` for k >= j.
-    """
-    count, rows, columns = conductance.shape
-    places = np.moveaxis(conductance, -1, 0)
-    beyond = np.empty((columns, count, rows))
-    passed = np.ones((columns, count, rows))
-    back = np.empty((columns, count, rows))
-    beyond[-1] = places[-1]
-    for place in range(columns - 2, -1, -1):
-        passed[place + 1] = 1.0 / (1.0 + segment * beyond[place + 1])
-        beyond[place] = places[place] + beyond[place + 1] * passed[place + 1]
-    back[0] = 1.0 / lead
-    for place in range(1, columns):
-        back[place] = 1.0 / (segment + 1.0 / (back[place - 1] + places[place - 1]))
-    reach = np.cumprod(passed, axis=0)
-    total = beyond + back
-    own = np.where(total > 0, 1.0 / total, 0.0)
-    near = np.moveaxis(places * own / reach, 0, -1)
-    far = np.moveaxis(places * reach, 0, -1)
-    admittance = near[..., :, None] * far[..., None, :]
-    upper = np.triu_indices(columns, 1)
-    admittance[..., upper[1], upper[0]] = admittance[..., upper[0], upper[1]]
-    np.negative(admittance, out=admittance)
-    diagonal = np.arange(columns)
-    admittance[..., diagonal, diagonal] += conductance
-    driven = 1.0 / (1.0 + lead * beyond[0])
-    return Rows(admittance, far * np.where(np.isinf(lead), 0.0, driven)[..., None])
-
-
-def through_segment(admittance: FloatArray, segment: FloatArray, values: FloatArray) -> FloatArray:
-    """``(1 + A R)^-1 values``: admittances or currents beyond one segment of each column."""
-    passing = admittance * segment[:, None, :]
-    diagonal = np.arange(admittance.shape[-1])
-    passing[..., diagonal, diagonal] += 1.0
-    return _solve(passing, values)
-
-
-def _solve(matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """As numpy's; NaN for all boards of a chunk with a singular matrix, which are then read one by one."""
-    try:
-        return np.asarray(np.linalg.solve(matrix, values), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return np.full(np.broadcast_shapes(matrix.shape[:-1], values.shape[:-1]) + values.shape[-1:], np.nan)
 
 
 def _each(value: PerLine, count: int) -> FloatArray:

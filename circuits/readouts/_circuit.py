@@ -55,8 +55,6 @@ class ReadoutCircuit(ABC):
     """whether amplifiers hold all columns at the reference at once, and each output measures its column's current"""
     mixes_cells: ClassVar[bool] = False
     """whether other cells change a reading even if all parts are ideal"""
-    in_populations: ClassVar[bool] = False
-    """whether :mod:`.._population` can read many boards with this circuit at once; else each board is scanned alone"""
     drives_idle_lines: ClassVar[bool] = False
     """whether an amplifier drives the idle lines, so that ``drive.idle_rows`` does not count"""
     behind_the_load: ClassVar[str] = ""
@@ -190,15 +188,15 @@ class ReadoutCircuit(ABC):
         return volts
 
     def delivered(self, board: Parts, group: SensitivityGroup, row_current: FloatArray) -> FloatArray:
-        """A (readings' rows, readings' columns) that the output of each reading's amplifier delivers into the array.
+        """A (..., rows, columns) of the readings, that the output of each one's amplifier delivers into the array.
 
         Args:
             board: parts of the readout.
             group: readings, with their forward fields.
-            row_current: (rows, columns or 1, N) A out of each driver in these fields.
+            row_current: (..., rows, columns or 1, N) A out of each driver in these fields.
 
         """
-        return np.zeros((len(group.rows), len(group.columns)))
+        return np.zeros((*row_current.shape[:-3], len(group.rows), len(group.columns)))
 
     # One cell alone, with ideal parts
 

@@ -34,7 +34,6 @@ class InvertingAmplifier(Terminated):
 
     name = "inverting-amplifier"
     virtual_ground = True
-    in_populations = True
 
     def ends_of(self, board: Parts, parts: EndParts, state: SignArray | None = None) -> Ends:
         reference, slack, offset, bias, level = parts
@@ -152,8 +151,7 @@ class InvertingAmplifier(Terminated):
 
     def delivered(self, board: Parts, group: SensitivityGroup, row_current: FloatArray) -> FloatArray:
         """The current of a column's end, less the bias current, through the reference resistor."""
-        current = np.broadcast_to(group.lead_current, (len(group.rows), 1, board.shape[1]))[:, 0]
-        delivered: FloatArray = (current - board.bias)[:, group.columns]
+        delivered: FloatArray = (group.lead_current[..., 0, :] - board.bias)[..., group.columns]
         return delivered
 
     def alone(self, board: Parts) -> Alone:

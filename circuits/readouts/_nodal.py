@@ -57,7 +57,7 @@ def node_groups(board: Parts, ports: FloatArray) -> Iterator[SensitivityGroup]:
             adjoint=adjoint[None],
             lead_current=into[:, None],
             adjoint_lead_current=into_adjoint[None],
-            own_parts={},
+            own_parts=dict,
         )
 
 

@@ -93,12 +93,18 @@ class Terminated(ReadoutCircuit):
         parts = EndParts.of(board)
         at_high = reading.volts >= board.supply[1]
         state = np.where(reading.saturated, np.where(at_high, 1, -1), 0).astype(np.int8)
+        if board.is_stack:  # none of whose boards is saturated
+            state = np.zeros_like(state[0])
         patterns, pattern_of = np.unique(state, axis=0, return_inverse=True)
         for number, pattern in enumerate(patterns):
-            slopes = {}
-            for name, field in _OWN_PARTS.items():
-                moved = self.ends_of(board, parts._replace(**{field: getattr(parts, field) + 1j * _STEP}), pattern)
-                slopes[name] = Ends(*(np.imag(value) / _STEP for value in moved))
+
+            def slopes(pattern: SignArray = pattern) -> dict[str, Ends]:
+                found = {}
+                for name, field in _OWN_PARTS.items():
+                    moved = self.ends_of(board, parts._replace(**{field: getattr(parts, field) + 1j * _STEP}), pattern)
+                    found[name] = Ends(*(np.imag(value) / _STEP for value in moved))
+                return found
+
             ends = self.ends_of(board, parts, pattern)  # one at a limit does not move: its adjoint field is zero
             steps = np.flatnonzero(pattern_of.ravel() == number)
             one_by_one = self.columns_one_by_one(board)

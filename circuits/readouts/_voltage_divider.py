@@ -23,7 +23,6 @@ class VoltageDivider(Terminated):
     name = "voltage-divider"
     has_amplifiers = False
     mixes_cells = True
-    in_populations = True
 
     def ends_of(self, board: Parts, parts: EndParts, state: SignArray | None = None) -> Ends:
         nothing = np.zeros_like(parts.reference)

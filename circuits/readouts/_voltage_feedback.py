@@ -208,5 +208,5 @@ class VoltageFeedback(VoltageDivider):
             adjoint=gain[..., None] * field,
             lead_current=ties.currents(forward, behind)[..., rows:],
             adjoint_lead_current=gain[..., None] * back[:, rows:],
-            own_parts=own,
+            own_parts=lambda: own,
         )
