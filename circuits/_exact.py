@@ -54,7 +54,7 @@ def _read_linearly(board: Board, linear: LinearReadout, cells: FloatArray) -> tu
     saturated = np.zeros(volts.shape, dtype=np.bool_)
     limited = ~linear.within_supply(volts, error)
     if limited.any():
-        some, error[limited] = _read_ports(board, cells[limited])
+        some, error[limited] = _read_ports(board.some(limited), cells[limited])
         volts[limited], saturated[limited] = some.volts, some.saturated
     return Outputs(volts, saturated), error
 

@@ -36,6 +36,10 @@ LEAST_SHORT_OHM = 1e-3
 
 T = TypeVar("T", bound=np.generic)
 
+_OF_ROWS, _OF_COLUMNS = ("row_ohms", "column_ohms", "row_lead"), ("column_lead", "reference", "gain", "offset", "bias")
+_OF_BOARD = "drive", "level"
+"""what the boards of a stack have values of their own of"""
+
 
 def of_columns(values: FloatArray) -> FloatArray:
     """Values of columns as (M,) or (S, M), of (M,) or (S, 1, M)."""
@@ -108,15 +112,20 @@ class Parts:
         """Whether these are the parts of several boards."""
         return self.row_ohms.ndim > 2
 
-    def member(self, number: int) -> Self:
-        """One board of a stack; a board that is none is every frame's."""
+    def some(self, frames: BoolArray) -> Self:
+        """The boards of some frames (S,)."""
+        if not self.is_stack or len(self.row_ohms) == 1:  # one board reads all frames
+            return self
+        return replace(self, **{name: getattr(self, name)[frames] for name in (*_OF_ROWS, *_OF_COLUMNS, *_OF_BOARD)})
+
+    def member(self, frame: int) -> Self:
+        """The one board of a frame."""
         if not self.is_stack:
             return self
-        number %= len(self.row_ohms)  # a stack of one reads all frames
-        own = {name: getattr(self, name)[number] for name in ("row_ohms", "column_ohms", "row_lead")}
-        own |= {name: getattr(self, name)[number, 0] for name in ("column_lead", "reference", "gain", "offset", "bias")}
-        own |= {name: float(getattr(self, name)[number, 0, 0]) for name in ("drive", "level")}
-        return replace(self, **own)
+        number = frame % len(self.row_ohms)
+        own = {name: getattr(self, name)[number] for name in _OF_ROWS}
+        own |= {name: getattr(self, name)[number, 0] for name in _OF_COLUMNS}
+        return replace(self, **own, **{name: getattr(self, name)[number].item() for name in _OF_BOARD})
 
     @property
     def line_kinds(self) -> tuple[str, str]:

@@ -21,7 +21,7 @@ from the sum of its cells' currents. The derivatives thus exist for lines of zer
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +47,7 @@ _TOO_MANY_DECADES = (
     "the grid's parts span too many decades for sensitivities; give the smallest resistances as 0, "
     "or the largest as inf"
 )
+_CROSSING = ("row", "column"), ("column", "row")
 _SHORT = 1e8  # conductance that stands for a short, over the largest other conductance
 
 
@@ -157,28 +158,14 @@ def solve_fields(board: Board, cells: FloatArray) -> SolvedFields:
 def _turned_back(found: Sensitivity) -> Sensitivity:
     """Convert line coordinates to rows and columns of the array, on a board that senses rows."""
 
-    def by_reading(values: FloatArray) -> FloatArray:
-        return values.swapaxes(0, 1)[::-1, ::-1]
+    def turned(values: FloatArray) -> FloatArray:
+        own = values.swapaxes(0, 1)[::-1, ::-1]
+        if values.ndim == 4:
+            return own.swapaxes(2, 3)[:, :, ::-1, ::-1]
+        return own[..., ::-1] if values.ndim == 3 else own
 
-    def by_line(values: FloatArray) -> FloatArray:
-        return by_reading(values)[..., ::-1]
-
-    def by_place(values: FloatArray) -> FloatArray:
-        return by_reading(values).swapaxes(-1, -2)[..., ::-1, ::-1]
-
-    return Sensitivity(
-        volts=by_reading(found.volts),
-        conductance=by_reading(found.conductance),
-        cell_conductance=by_place(found.cell_conductance),
-        row_lead=by_line(found.column_lead),
-        row_segment=by_place(found.column_segment),
-        column_lead=by_line(found.row_lead),
-        column_segment=by_place(found.row_segment),
-        reference_resistance=by_line(found.reference_resistance),
-        inverse_gain=by_line(found.inverse_gain),
-        offset_voltage=by_line(found.offset_voltage),
-        bias_current=by_line(found.bias_current),
-    )
+    other = {f"{line}_{part}": f"{across}_{part}" for part in ("lead", "segment") for line, across in _CROSSING}
+    return Sensitivity(**{each.name: turned(getattr(found, other.get(each.name, each.name))) for each in fields(found)})
 
 
 def _joins_ports(network: Network, shorts: BoolArray) -> bool:
@@ -370,19 +357,11 @@ def _sparse_potentials(a: IntArray, b: IntArray, value: FloatArray, port: IntArr
 def _empty(volts: FloatArray, conductance: FloatArray) -> Sensitivity:
     """All derivatives 0, for :func:`_write_derivatives` to fill."""
     rows, columns = volts.shape
-    return Sensitivity(
-        volts=volts,
-        conductance=conductance,
-        cell_conductance=np.zeros((rows, columns, rows, columns)),
-        row_lead=np.zeros((rows, columns, rows)),
-        row_segment=np.zeros((rows, columns, rows, columns - 1)),
-        column_lead=np.zeros((rows, columns, columns)),
-        column_segment=np.zeros((rows, columns, rows - 1, columns)),
-        reference_resistance=np.zeros((rows, columns, columns)),
-        inverse_gain=np.zeros((rows, columns, columns)),
-        offset_voltage=np.zeros((rows, columns, columns)),
-        bias_current=np.zeros((rows, columns, columns)),
-    )
+    places = {"cell_conductance": (rows, columns), "row_lead": (rows,)}
+    places |= {"row_segment": (rows, columns - 1), "column_segment": (rows - 1, columns)}
+    kinds = [each.name for each in fields(Sensitivity)[2:]]
+    zeros = {name: np.zeros((rows, columns, *places.get(name, (columns,)))) for name in kinds}
+    return Sensitivity(volts, conductance, **zeros)
 
 
 def _write_derivatives(result: Sensitivity, fields: BasisFields, group: SensitivityGroup) -> None:

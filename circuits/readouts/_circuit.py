@@ -120,11 +120,10 @@ class ReadoutCircuit(ABC):
             wire: (M,) ohm along each column up to its end.
 
         Returns:
-            None where all cells take part in every reading, as in dividers with floating rows.
+            None where rows float and nothing holds the columns: all cells then take part in every reading.
 
         """
-        ends = self.ends(board)
-        return None if ends is None else PortLaw.of_ends(ends, wire, board.drive, floating=board.floating)
+        return None
 
     def ambiguity(self, board: Parts) -> str:
         """Why readings of such a board do not determine its cells; empty: nothing is known against it."""
@@ -141,7 +140,7 @@ class ReadoutCircuit(ABC):
 
     def columns_one_by_one(self, board: Parts) -> bool:
         """Whether each column is measured on its own, because idle columns end in something else than the read one."""
-        return False
+        return board.shared_by > 1
 
     def ideal_inputs(self, board: Parts) -> BoolArray:
         """(M,) column ends that the circuit holds like an ideal voltage source."""

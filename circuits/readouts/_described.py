@@ -21,7 +21,6 @@ from ._circuit import Alone, Reading, ReadoutCircuit
 from ._ends import EndParts, Ends
 from ._linear import LinearReadout
 from ._nodal import node_groups, read_nodes
-from ._port_law import PortLaw
 from ._terminated import SignArray, Terminated
 
 _MOST_ATTENUATED_OHM = 1e9  # of a column's end, up to which line attenuation is of use
@@ -70,15 +69,8 @@ class Described(Networks, Terminated):
         sources = np.maximum(np.abs(ends.source), np.abs(ends.idle_source))
         return super().energy_bound(replace(board, reference=np.abs(ends.slope), offset=sources), ports, relative)
 
-    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
-        return None if board.floating else PortLaw.of_ends(self.read_ends(board), wire, board.drive, floating=False)
-
     def linear(self, board: Parts) -> LinearReadout | None:
         return None if _equivalents(board).resistance.max() > _MOST_ATTENUATED_OHM else super().linear(board)
-
-    def ideal_inputs(self, board: Parts) -> BoolArray:
-        held: BoolArray = (self.end_resistance(board) + board.column_lead) == 0
-        return held
 
     def alone(self, board: Parts) -> Alone:
         # The row's end by itself: driver, lead and pull-down as a Thevenin equivalent.
@@ -102,9 +94,6 @@ class ByNodes(Networks):
 
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
         return np.full((*ports.shape[:-2], *board.shape), np.inf)  # the bound by entries holds
-
-    def columns_one_by_one(self, board: Parts) -> bool:
-        return board.shared_by > 1
 
     def alone(self, board: Parts) -> Alone:
         assert board.line_ends is not None

@@ -23,7 +23,6 @@ from ..solvers import IDEAL_WIRE, LARGEST_PART
 from ._adjoint import SensitivityGroup
 from ._circuit import Alone, Reading
 from ._ends import EndParts, Ends, column_currents, terminate
-from ._port_law import PortLaw
 from ._terminated import SignArray, Terminated
 
 _MURTY_AFTER = 50  # rounds of pivoting all columns at once, before one column at a time, which cannot cycle
@@ -109,15 +108,6 @@ class InvertingAmplifier(Terminated):
             if not pending.any():
                 return Reading(volts, state != 0, magnitude, cancelled, relative)
         raise SolverError("no consistent set of saturated outputs was found; check supply and reference_voltage")
-
-    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
-        if board.floating and self.columns_one_by_one(board) and board.idle_resistance.any():
-            return None  # nothing holds the idle columns
-        return PortLaw.of_ends(self.read_ends(board), wire, board.drive, floating=board.floating)
-
-    def ideal_inputs(self, board: Parts) -> BoolArray:
-        ideal: BoolArray = (board.column_lead == 0) & np.isinf(board.gain)
-        return ideal
 
     def undetermined(self, board: Parts, rows: IntArray, columns: IntArray) -> BoolArray | None:
         """Outputs of ideal amplifiers whose input is connected to a row driver by 0 ohm, while that driver is idle.

@@ -8,13 +8,14 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.arrays import FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from .._parts import Parts, of_columns
 from ..solvers import Lines, Wires
 from ._adjoint import SensitivityGroup, terminated_groups
 from ._circuit import Reading, ReadoutCircuit
 from ._ends import Currents, EndParts, Ends, column_currents, currents_in_turns, terminate
 from ._linear import LinearReadout
+from ._port_law import PortLaw
 from ._quick import (
     QuickFields,
     QuickNetwork,
@@ -53,15 +54,20 @@ class Terminated(ReadoutCircuit):
     def read_ends(self, board: Parts) -> Ends:
         return self.ends_of(board, EndParts.of(board))
 
-    def ends(self, board: Parts) -> Ends | None:
-        return None if self.columns_one_by_one(board) else self.read_ends(board)
-
     def end_resistance(self, board: Parts) -> FloatArray:
         own = self.read_ends(board).resistance
         return np.minimum(own, board.idle_resistance) if self.columns_one_by_one(board) else own
 
-    def columns_one_by_one(self, board: Parts) -> bool:
-        return board.shared_by > 1
+    def ideal_inputs(self, board: Parts) -> BoolArray:
+        held: BoolArray = (self.read_ends(board).resistance + board.column_lead) == 0
+        return held
+
+    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
+        one_by_one = self.columns_one_by_one(board)
+        held = self.virtual_ground and not (one_by_one and board.idle_resistance.any())
+        if board.floating and not held:
+            return None
+        return PortLaw.of_ends(self.read_ends(board), wire, board.drive, floating=board.floating)
 
     def read(self, board: Parts, ports: FloatArray) -> Reading:
         ends = self.read_ends(board)

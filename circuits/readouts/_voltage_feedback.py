@@ -157,9 +157,6 @@ class VoltageFeedback(VoltageDivider):
                     )
         return None
 
-    def columns_one_by_one(self, board: Parts) -> bool:
-        return True
-
     def delivered(self, board: Parts, group: SensitivityGroup, row_current: FloatArray) -> FloatArray:
         """The follower's current into all idle rows and columns."""
         idle_rows = row_current.sum(axis=-1) - row_current[np.arange(len(group.rows)), :, group.rows]
