@@ -94,14 +94,6 @@ class Boards:
         ends = {key: of(values) for key, values in self.ends.items()}
         return Boards(**{name: of(getattr(self, name)) for name in self.names()}, ends=ends)
 
-    def in_lines(self, design: Design) -> Boards:
-        """The same boards in line coordinates."""
-        if not design.board.turned:
-            return self
-        other = {"row_lead": "column_lead", "row_segment": "column_segment"}
-        other |= {theirs: ours for ours, theirs in other.items()}
-        return Boards(**{name: getattr(self, other.get(name, name))[:, ::-1] for name in self.names()})
-
     def design(self, nominal: Design, board: int) -> Design:
         """The design of one board."""
 

@@ -28,6 +28,7 @@ from ...errors import InputError
 from .._board import Board
 from .._design import Design
 from .._grid import exact_ports
+from .._parts import of_columns
 from .._population import Boards
 from ..readouts import CIRCUITS, one_driven, terminate
 
@@ -73,18 +74,18 @@ class Circuit(NamedTuple):
     """(B,) whether ``left`` and ``right`` are accurate; if not, they are those of the states"""
 
     @classmethod
-    def of(cls, boards: Boards, board: Board, network: FloatArray, loaded: IntArray, taps: Sequence[int]) -> Circuit:
+    def of(cls, networks: ColumnNetworks, group: int, loaded: IntArray, taps: Sequence[int]) -> Circuit:
         """The circuits of one state of the switches.
 
         Args:
-            boards: their part values, in line coordinates.
-            board: which parts there are: amplifiers that hold their columns, or loads.
-            network: (B, M, M) S, the grid of each board as the column ends see it.
+            networks: boards with amplifiers that hold their columns, or with loads.
+            group: number of the grid that the column ends see.
             loaded: columns at an amplifier, or of a divider at their loads.
             taps: (K,) for each sampling capacitor the unknown that it is connected to (a column end, or M plus the
                 number of an amplifier); -1: none.
 
         """
+        boards, board, network = networks.boards, networks.board, networks.conductance[:, group]
         adc, columns = board.adc, network.shape[-1]
         amplified = loaded if board.circuit.virtual_ground else loaded[:0]
         idle = np.setdiff1d(np.arange(columns), loaded)
@@ -92,9 +93,8 @@ class Circuit(NamedTuple):
         grounded_ends = idle if board.idle_columns == "ground" else idle[:0]
         count, size, batch = len(amplified), columns + len(amplified) + len(taps), len(network)
         outputs, samples = np.arange(columns, columns + count), np.arange(columns + count, size)
-        slack = 1.0 / boards.open_loop_gain[:, amplified]
-        conductance = 1.0 / boards.reference_resistance
-        offset, bias = boards.offset_voltage[:, amplified], boards.bias_current[:, amplified]
+        slack, conductance = 1.0 / of_columns(board.gain)[:, amplified], 1.0 / of_columns(board.reference)
+        offset, bias = (of_columns(part)[:, amplified] for part in (board.offset, board.bias))
         lag = 1.0 / (2.0 * pi * boards.gain_bandwidth)  # 0: the amplifier follows at once
         ohms, farads = (adc.switch_resistance, adc.sampling_capacitance) if adc else (0.0, 0.0)
         line, across = boards.column_capacitance, boards.feedback_capacitance
@@ -253,6 +253,9 @@ def _modes(
 class ColumnNetworks(NamedTuple):
     """The grids of B boards as the column ends see them while each row is selected, leads included and loads not."""
 
+    boards: Boards
+    board: Board
+    """the stack that they make"""
     conductance: FloatArray
     """(B, G, M, M) S; G is 1 where all rows see the same network, else N"""
     current: FloatArray
@@ -271,9 +274,9 @@ class ColumnNetworks(NamedTuple):
         totals = np.stack([alone[..., ends, :].sum(axis=-1) for alone in steps], axis=1)
         drivers = [alone[..., : 1 if board.floating else rows, ends] for alone in steps]
         every = np.arange(columns)
-        leak = np.maximum(totals.max(axis=(1, 2)), 1.0 / boards.reference_resistance.max(axis=1))
+        leak = np.maximum(totals.max(axis=(1, 2)), 1.0 / board.reference.max(axis=(1, 2)))
         found[..., every, every] += totals + _LEAK * leak[:, None, None]
-        return cls(found, board.drive * np.concatenate(drivers, axis=1))
+        return cls(boards, board, found, board.drive * np.concatenate(drivers, axis=1))
 
 
 def sampler_delay(board: Board) -> float:

@@ -109,8 +109,7 @@ class RepeatedScan:
         self._one_by_one = board.circuit.columns_one_by_one(board)
         self._states = list(self._possible_states())
         networks = ColumnNetworks.of(design, boards, cells)
-        ours = boards.in_lines(design)
-        self._groups = [self._phases(ours, networks.conductance[:, g]) for g in range(networks.conductance.shape[1])]
+        self._groups = [self._phases(networks, group) for group in range(networks.conductance.shape[1])]
         """phases of each row's step, or those that all rows share"""
         rows = range(board.shape[0])
         self._order = list(reversed(rows)) if board.turned else list(rows)  # a scan goes by the array's line numbers
@@ -299,12 +298,12 @@ class RepeatedScan:
             return columns
         return self._first_output + (columns if len(self._states[0].loaded) > 1 else np.zeros_like(columns))
 
-    def _phases(self, boards: Boards, network: FloatArray) -> list[Circuit]:
-        """The circuits in each state of the switches, with the grids (B, M, M) in S as the column ends see them."""
+    def _phases(self, networks: ColumnNetworks, group: int) -> list[Circuit]:
+        """The circuits in each state of the switches."""
         known: dict[tuple[tuple[int, ...], tuple[int, ...]], Circuit] = {}
         for state, taps in zip(self._states, self._taps, strict=True):
             if (key := (tuple(state.loaded.tolist()), taps)) not in known:
-                known[key] = Circuit.of(boards, self._board, network, state.loaded, taps)
+                known[key] = Circuit.of(networks, group, state.loaded, taps)
         keys = zip((tuple(state.loaded.tolist()) for state in self._states), self._taps, strict=True)
         return [known[key] for key in keys]
 

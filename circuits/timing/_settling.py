@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from ...common.arrays import IN_CACHE, ComplexArray, FloatArray
 from ...errors import InputError, SolverError
 from .._design import Design
+from .._parts import of_columns
 from .._population import Boards
 from .._scan import scan
 from ._circuit import ROUNDING, ColumnNetworks, require_amplifiers
@@ -352,17 +353,15 @@ class _Loops(NamedTuple):
 
     @classmethod
     def of(cls, design: Design, boards: Boards, cells: FloatArray) -> _Loops:
-        board = design.board
-        require_amplifiers(board)
-        ours = boards.in_lines(design)
-        if np.isinf(ours.gain_bandwidth).any():
+        require_amplifiers(design.board)
+        if np.isinf(boards.gain_bandwidth).any():
             raise InputError("readout.gain_bandwidth is infinite: an amplifier without a pole has no phase margin")
-        network = ColumnNetworks.of(design, boards, cells).conductance
-        parts = 1 / ours.reference_resistance, 1 / ours.open_loop_gain, 2 * pi * ours.gain_bandwidth
+        _, stack, network, _ = ColumnNetworks.of(design, boards, cells)
+        parts = 1 / of_columns(stack.reference), 1 / of_columns(stack.gain), 2 * pi * boards.gain_bandwidth
         count, grids, columns = network.shape[:3]
         each = [
             np.repeat(np.broadcast_to(part, (count, part.shape[1])), grids, axis=0)
-            for part in (*parts, ours.column_capacitance, ours.feedback_capacitance)
+            for part in (*parts, boards.column_capacitance, boards.feedback_capacitance)
         ]
         return cls(network.reshape(-1, columns, columns), *each)
 
