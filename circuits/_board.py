@@ -21,7 +21,7 @@ from ..common.config import Section
 from ._parts import Parts
 from ._readout import Readout
 from ._sections import Adc, Fault
-from .ends import GROUND, LINE, OUT, REF, Card, LineEnds, Network, amplifier
+from .ends import GROUND, LINE, OUT, REF, Card, LineEnds, Network, Rows, amplifier
 from .readouts import CIRCUITS, LinearReadout, ReadoutCircuit, networks
 
 if TYPE_CHECKING:
@@ -122,32 +122,21 @@ class Board(Parts):
 def _with_networks(board: Board, design: Design, *, by_nodes: bool) -> Board:
     """The board with the networks of the design at its lines, and those that its other keys stand for."""
     ends = _line_ends(board, design)
-    floating, pull, lead = board.floating, board.pull, board.row_lead
-    drive, datum = board.drive, Fraction(board.level)
-    columns = None
+    rows = columns = None
     if ends.is_apart and not by_nodes:
-        rows = None
-        if design.row_end is not None:
-            rows = ends.rows(ends.rest())
-            if rows is not None:
-                floating, pull, lead, drive, datum = rows.floating, rows.pull, rows.lead, rows.drive, rows.datum
-        if rows is not None or design.row_end is None:
-            columns = ends.columns(datum)
-    if columns is None:  # each row's step is a network of its own, whose ends are not of the grid
-        floating, pull, lead = True, inf, np.zeros(board.shape[0])
-        if design.row_end is None and board.pulled:
-            lead = -board.row_lead  # among the parts of the ends
-        if design.crosspoint is not None:
-            lead = -board.row_ohms[:, 0]
-    own_lead = np.zeros_like(lead) if design.row_end is None and columns is not None else lead
+        rows = ends.rows(Fraction(board.level) if design.row_end is None else ends.rest())
+        columns = None if rows is None else ends.columns(rows.datum)
+    drive = board.drive if rows is None else rows.drive
+    if rows is None or columns is None:  # each row's step is a network of its own, whose ends are not of the grid
+        rows = Rows(np.zeros(board.shape[0]), inf, True, drive, Fraction(0))
     row_ohms = board.row_ohms.copy()
-    row_ohms[:, 0] += own_lead
+    row_ohms[:, 0] += rows.lead - _leads_in_ends(board, design)
     described = replace(
         board,
         row_ohms=row_ohms,
-        row_lead=lead if columns is not None and (design.row_end is not None or board.pulled) else np.zeros_like(lead),
-        floating=floating,
-        pull=pull,
+        row_lead=rows.lead,
+        floating=rows.floating,
+        pull=rows.pull,
         drive=drive,
         gain=np.full(board.shape[1], inf),
         offset=np.zeros(board.shape[1]),
@@ -190,11 +179,19 @@ def _line_ends(board: Board, design: Design) -> LineEnds:
     reference = () if design.reference is None else design.reference.lines("parts", 1)[0]
     if design.crosspoint is None:
         return LineEnds(selected, idle, read, unread, shared, reference, board.level)
-    # The ports of a grid with ideal lines are then its cells alone, and the rows' leads are parts of their ends.
-    leads = np.zeros(rows) if board.pulled and row_end is None else board.row_ohms[:, 0]
+    leads = np.zeros(rows) if board.pulled and row_end is None else _leads_in_ends(board, design)
     selected, idle = (tuple(map(_behind_lead, ends, leads.tolist())) for ends in (selected, idle))
     crosspoint = design.crosspoint.lines("parts", 1)[0]
     return LineEnds(selected, idle, read, unread, shared, reference, board.level, crosspoint)
+
+
+def _leads_in_ends(board: Board, design: Design) -> FloatArray:
+    """(N,) ohm of the rows' leads that are parts of their ends: ahead of pull-downs, and where the ports of a grid with
+    ideal lines have to be its cells alone.
+    """
+    if design.crosspoint is not None:
+        return board.row_ohms[:, 0]
+    return board.row_lead if board.pulled and design.row_end is None else np.zeros(board.shape[0])
 
 
 def _followed(board: Board) -> LineEnds:
