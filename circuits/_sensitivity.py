@@ -31,7 +31,7 @@ from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, SolverError
 from ._board import Board
 from ._design import Design
-from ._grid import exact_ports, grid_network
+from ._grid import exact_ports, grid_network, islands
 from ._parts import at_any, of_columns
 from .readouts import Reading, SensitivityGroup
 from .solvers import Network, reduce, siemens
@@ -148,9 +148,9 @@ def solve_fields(board: Board, cells: FloatArray) -> SolvedFields:
     shorts = np.isinf(network.conductance)
     shorts &= ~(network.wire & shorts.all(axis=tuple(range(shorts.ndim - 1))))  # a wire of some boards is a part
     if shorts.any():
-        joined = _joins_ports(network, shorts)
+        at_ports = islands(network, np.isinf(network.conductance))[network.ports]
         network = _with_small_resistances(board, network, shorts)
-        if joined:  # a short between two ports needs a voltage across it, which gives its current
+        if len(np.unique(at_ports)) < len(at_ports):  # a short between two needs a voltage, which gives its current
             ports = reduce(network).value
     return SolvedFields(board, ports, reading, BasisFields.of(board, cells, network))
 
@@ -166,18 +166,6 @@ def _turned_back(found: Sensitivity) -> Sensitivity:
 
     other = {f"{line}_{part}": f"{across}_{part}" for part in ("lead", "segment") for line, across in _CROSSING}
     return Sensitivity(**{each.name: turned(getattr(found, other.get(each.name, each.name))) for each in fields(found)})
-
-
-def _joins_ports(network: Network, shorts: BoolArray) -> bool:
-    """Whether ideal lines and shorts alone connect two ports."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    a, b = network.ends[at_any(shorts | np.isinf(network.conductance), 1)].T
-    size = len(network.place)
-    links = coo_array((np.ones(len(a)), (a, b)), shape=(size, size))
-    _, island = connected_components(links, directed=False)
-    return len(np.unique(island[network.ports])) < len(network.ports)
 
 
 def _with_small_resistances(board: Board, network: Network, shorts: BoolArray) -> Network:
@@ -222,18 +210,12 @@ class BasisFields(NamedTuple):
     @classmethod
     def of(cls, board: Board, cells: FloatArray, network: Network) -> BasisFields:
         """Solve for the basis fields of ``network``, which is the board's grid with these cells and no shorts."""
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-
         rows, columns = board.lines.row.shape[-2:]
         ahead_of_cells = columns - cells.shape[-1]
         cell_at = rows * columns + (rows - 1) * columns
         conductance = network.conductance
-        # The ends of an ideal wire are the same node.
         wired = at_any(np.isinf(conductance), 1)
-        count = len(network.place)
-        a, b = network.ends[wired].T
-        _, node = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(count, count)), directed=False)
+        node = islands(network, wired)  # the ends of an ideal wire are the same node
         a, b = node[network.ends[~wired]].T
         potential = _potentials(
             a, b, conductance[..., ~wired], node[network.ports].astype(np.intp), int(node.max()) + 1
