@@ -33,22 +33,17 @@ from ._board import Board
 from ._design import Design
 from ._grid import exact_ports, grid_network, islands
 from ._parts import at_any, of_columns
+from ._tuning import FEW_NODES, SHORT
 from .readouts import Reading, SensitivityGroup
 from .solvers import Network, reduce, siemens
 
 LARGEST = 64 * 64
 """Largest number of cells: the derivatives then need 0.13 GB of memory per kind of part."""
-FEW_NODES = 150
-"""Number of nodes up to which the equations of a grid are solved with dense matrices."""
-WIDEST = 1e7
-"""Ratio of the largest to the smallest conductance of a grid up to which dense matrices are used. For larger ratios,
-and where a very small resistance stands for a short, the order of sparse elimination keeps more digits."""
 _TOO_MANY_DECADES = (
     "the grid's parts span too many decades for sensitivities; give the smallest resistances as 0, "
     "or the largest as inf"
 )
 _CROSSING = ("row", "column"), ("column", "row")
-_SHORT = 1e8  # conductance that stands for a short, over the largest other conductance
 
 
 @dataclass(frozen=True)
@@ -171,15 +166,14 @@ def _turned_back(found: Sensitivity) -> Sensitivity:
 def _with_small_resistances(board: Board, network: Network, shorts: BoolArray) -> Network:
     """Replace the branches ``shorts`` (branches,) by very small resistances; ideal lines stay ideal.
 
-    The current through a short is then the voltage across it times its conductance. With 1e8 times the largest other
-    conductance the readings change by about 1e-8, and the derivatives keep four digits in double precision.
+    The current through a short is then the voltage across it times its conductance.
     """
     behind = siemens(of_columns(board.column_lead + board.circuit.end_resistance(board)))
     largest = (
         np.max(values, axis=-1, keepdims=True, where=np.isfinite(values), initial=0.0)
         for values in (network.conductance, behind)
     )
-    short = np.maximum(_SHORT * np.maximum(*largest), 1e-300)
+    short = np.maximum(SHORT * np.maximum(*largest), 1e-300)
     return replace(network, conductance=np.where(shorts, short, network.conductance))
 
 
@@ -263,7 +257,8 @@ def _potentials(a: IntArray, b: IntArray, value: FloatArray, port: IntArray, siz
 
     """
     felt = np.where(value > 0.0, value, np.nan)
-    few = size <= FEW_NODES and not np.nanmax(felt, initial=0.0) > WIDEST * np.nanmin(felt, initial=np.inf)
+    spanned = 10.0 * np.nanmax(felt, initial=0.0) / np.nanmin(felt, initial=np.inf)  # with a digit to spare
+    few = size <= FEW_NODES and spanned <= SHORT
     potential = _dense_potentials(a, b, value, port, size) if few else None
     if potential is not None:
         return potential

@@ -16,6 +16,7 @@ import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
 from .._parts import Parts
+from .._tuning import ROUNDING
 from ._adjoint import SensitivityGroup
 from ._ends import Ends
 from ._linear import LinearReadout
@@ -277,10 +278,11 @@ class Alone(NamedTuple):
     """V above the reference without current"""
 
     def left(self, ratio: FloatArray) -> FloatArray:
-        """Share of the drive that is left across the cell, for a signal over ``gain`` (S); it is never nothing."""
+        """Share of the drive that is left across the cell, for a signal over ``gain`` (S); it is never nothing,
+        as a divider cannot tell such cells from shorts."""
         if not np.any(self.span):
             return np.ones_like(ratio)
-        left: FloatArray = 1.0 - np.minimum(ratio * self.span, _FULL_RATIO)
+        left: FloatArray = 1.0 - np.minimum(ratio * self.span, 1.0 - ROUNDING)
         return left
 
 
@@ -291,9 +293,6 @@ class Contradiction(NamedTuple):
     """names of the sources"""
     remedy: str
     """the key of the design that can separate them"""
-
-
-_FULL_RATIO = 1 - 1e-9  # of signal to drive; beyond this ratio a divider cannot distinguish the cell from a short
 
 
 def _same_island(islands: IntArray) -> tuple[int, int] | None:

@@ -15,17 +15,13 @@ import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
 from .._parts import Parts
+from .._tuning import CURVE, CURVE_POINTS, PROBES_S
 from ..ends import OPEN_OHM, Columns, LineEnds, alone
 from ._adjoint import SensitivityGroup
 from ._circuit import Alone, Reading, ReadoutCircuit
 from ._ends import EndParts, Ends
-from ._linear import LinearReadout
 from ._nodal import node_groups, read_nodes
 from ._terminated import SignArray, Terminated
-
-_MOST_ATTENUATED_OHM = 1e9  # of a column's end, up to which line attenuation is of use
-_CURVE, _CURVE_POINTS = (-10.0, 2.0), 241  # logarithms of a cell's conductance in S, where diodes bend its output
-_PROBES_S = 1e-6, 1e-4  # conductances of a cell, from which its output without others follows
 
 
 class Networks(ReadoutCircuit):
@@ -69,9 +65,6 @@ class Described(Networks, Terminated):
         sources = np.maximum(np.abs(ends.source), np.abs(ends.idle_source))
         return super().energy_bound(replace(board, reference=np.abs(ends.slope), offset=sources), ports, relative)
 
-    def linear(self, board: Parts) -> LinearReadout | None:
-        return None if _equivalents(board).resistance.max() > _MOST_ATTENUATED_OHM else super().linear(board)
-
     def alone(self, board: Parts) -> Alone:
         # The row's end by itself: driver, lead and pull-down as a Thevenin equivalent.
         ends = _equivalents(board)
@@ -111,7 +104,7 @@ class ByNodes(Networks):
             return super().ideal_volts(board, cells)
         with np.errstate(divide="ignore"):
             log = np.log10(1.0 / cells)
-        lines = np.broadcast_to(np.clip(log, *_CURVE), (*np.shape(cells)[:-2], *board.shape))
+        lines = np.broadcast_to(np.clip(log, *CURVE), (*np.shape(cells)[:-2], *board.shape))
         return _each_curve(ends, lines, lambda curve, own: np.interp(own, *curve))
 
     def apparent_resistance(self, board: Parts, volts: FloatArray) -> FloatArray:
@@ -161,7 +154,7 @@ def _curves(ends: LineEnds) -> tuple[tuple[FloatArray, FloatArray, BoolArray], .
         for column in range(columns):
             key = ends.selected[row], ends.idle[row], ends.read[column], ends.unread[column]
             places.setdefault(key, np.zeros((rows, columns), dtype=np.bool_))[row, column] = True
-    log = np.linspace(*_CURVE, _CURVE_POINTS)
+    log = np.linspace(*CURVE, CURVE_POINTS)
     found = []
     for own in places.values():
         row, column = (int(place) for place in np.argwhere(own)[0])
@@ -197,10 +190,10 @@ def _from_curve(curve: tuple[FloatArray, FloatArray], volts: FloatArray) -> Floa
 
 def _fraction(ends: LineEnds, row: int, column: int) -> tuple[float, float, float]:
     """Rest, gain and span of one crosspoint."""
-    near, far = alone(ends, row, column, np.array(_PROBES_S))
+    near, far = alone(ends, row, column, np.array(PROBES_S))
     if np.isclose(near, far, rtol=1e-9, atol=0.0):  # nothing loads the column, or a current drives the row
         return 0.0, OPEN_OHM * float(near), OPEN_OHM
     rest = alone(ends, row, column, np.zeros(1))[0]
-    first, second = (near - rest) / _PROBES_S[0], (far - rest) / _PROBES_S[1]
+    first, second = (near - rest) / PROBES_S[0], (far - rest) / PROBES_S[1]
     ohms = (first - second) / (far - near)
     return rest, first + ohms * (near - rest), ohms

@@ -19,13 +19,12 @@ import numpy as np
 from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...errors import SolverError
 from .._parts import Parts
+from .._tuning import ROUNDS
 from ..solvers import IDEAL_WIRE, LARGEST_PART
 from ._adjoint import SensitivityGroup
 from ._circuit import Alone, Reading
 from ._ends import EndParts, Ends, column_currents, terminate
 from ._terminated import SignArray, Terminated
-
-_MURTY_AFTER = 50  # rounds of pivoting all columns at once, before one column at a time, which cannot cycle
 
 
 class InvertingAmplifier(Terminated):
@@ -82,7 +81,7 @@ class InvertingAmplifier(Terminated):
         state = (volts > high).astype(np.int8) - (volts < low).astype(np.int8)
         pending: BoolArray = np.atleast_1d(state.any(axis=1))
         relative = 0.0
-        for attempt in range(_MURTY_AFTER + 4 * columns):
+        for attempt in range(ROUNDS + 4 * columns):
             patterns, which = np.unique(state, axis=0, return_inverse=True)
             for number, pattern in enumerate(patterns):
                 steps = np.flatnonzero((which.ravel() == number) & pending)
@@ -100,7 +99,7 @@ class InvertingAmplifier(Terminated):
                 input_volts = board.offset - (ends.source + ends.resistance * currents)
                 stays = ((pattern > 0) & (input_volts >= at_high)) | ((pattern < 0) & (input_volts <= at_low))
                 wanted = np.where(pattern == 0, wanted, np.where(stays, pattern, 0)).astype(np.int8)
-                if attempt >= _MURTY_AFTER:
+                if attempt >= ROUNDS:
                     first = np.argmax(wanted != pattern, axis=1)[:, None] == np.arange(columns)
                     wanted = np.where(first, wanted, pattern).astype(np.int8)
                 pending[steps] = (wanted != pattern).any(axis=1)

@@ -8,7 +8,8 @@ import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
 from .._parts import Parts
-from ..ends import MOST_SIEMENS, Solution, System, solve, step_system
+from .._tuning import MOST_SIEMENS
+from ..ends import Solution, System, solve, step_system
 from ._adjoint import SensitivityGroup
 from ._circuit import Reading
 

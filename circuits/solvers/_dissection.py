@@ -34,8 +34,7 @@ from ...common.arrays import FloatArray
 from ._dissection_leaves import far_rims, fill_leaves, leaf_scratch, reduce_leaves
 from ._dissection_plan import Merge, Plan, plan
 from ._elimination import inverted
-
-_CACHE_SIZE = 1 << 24  # numbers that each thread keeps in memory between calls (128 MB)
+from ._tuning import KEPT_NUMBERS
 
 
 class _Join:
@@ -214,7 +213,7 @@ def dissect(
     network, relative = work.run(cells, row, column)
     network = _without_padding(plan(*cells.shape[1:]), network, cells.shape[1:], transfer_only).copy()
     kept[key] = work  # at the end: the most recently used
-    while sum(some.size for some in kept.values()) > _CACHE_SIZE:
+    while sum(some.size for some in kept.values()) > KEPT_NUMBERS:
         del kept[next(iter(kept))]
     return network, relative
 

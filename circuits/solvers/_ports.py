@@ -21,10 +21,7 @@ import numpy as np
 from ...common.arrays import BoolArray, FloatArray
 from ._dissection import dissect
 from ._elimination import ULP, Rounded, eliminate_leading, inverted
-
-IDEAL_WIRE = 1e40  # 0 ohm, relative to the largest conductance beside it; errors are far below rounding
-LARGEST_PART = 1e14  # S; largest conductance of a part outside the grid (load, lead, Rref/(1 + A))
-_AS_GOOD_AS_SHORT = 1e200  # S; larger conductances count as shorts, since their products could overflow
+from ._tuning import IDEAL_WIRE, LARGEST_PART, LEAST_OHM
 
 
 @dataclass(frozen=True)
@@ -181,6 +178,6 @@ def _ended(exits: FloatArray | None, columns: int) -> BoolArray:
 
 def _largest_finite(values: FloatArray, largest: float) -> float:
     """Largest conductance in S apart from shorts, at least :data:`LARGEST_PART`; ``largest`` is the largest value."""
-    if largest < _AS_GOOD_AS_SHORT:
+    if largest < 1.0 / LEAST_OHM:
         return max(largest, LARGEST_PART)
-    return float(np.max(values, where=values < _AS_GOOD_AS_SHORT, initial=LARGEST_PART))
+    return float(np.max(values, where=values < 1.0 / LEAST_OHM, initial=LARGEST_PART))

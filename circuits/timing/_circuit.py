@@ -30,14 +30,8 @@ from .._design import Design
 from .._grid import exact_ports
 from .._parts import of_columns
 from .._population import Boards
+from .._tuning import LEAK, WORST_CONDITION
 from ..readouts import CIRCUITS, one_driven, terminate
-
-_WORST_CONDITION = 1e8
-"""largest condition number of the eigenvectors; the modal form then still has eight correct digits"""
-ROUNDING, NEGLIGIBLE = 1e-9, 1e-3
-"""relative: to which a number in time is known; and the share of a sum that may be left out"""
-_LEAK = 1e-18
-"""of the largest conductance: gives a settled voltage to nodes that nothing is connected to"""
 
 
 class Circuit(NamedTuple):
@@ -243,7 +237,7 @@ def _modes(
         nothing = np.zeros(matrix.shape[:2], dtype=np.complex128)
         return nothing, back.astype(np.complex128), into.astype(np.complex128), np.ones(len(matrix), dtype=np.bool_)
     rates, vectors = np.linalg.eig(matrix)
-    is_modal = np.linalg.cond(vectors) < _WORST_CONDITION
+    is_modal = np.linalg.cond(vectors) < WORST_CONDITION
     left, right = back.astype(np.complex128), into.astype(np.complex128)
     left[is_modal] = back[is_modal] @ vectors[is_modal]
     right[is_modal] = np.linalg.solve(vectors[is_modal], into[is_modal])
@@ -275,7 +269,7 @@ class ColumnNetworks(NamedTuple):
         drivers = [alone[..., : 1 if board.floating else rows, ends] for alone in steps]
         every = np.arange(columns)
         leak = np.maximum(totals.max(axis=(1, 2)), 1.0 / board.reference.max(axis=(1, 2)))
-        found[..., every, every] += totals + _LEAK * leak[:, None, None]
+        found[..., every, every] += totals + LEAK * leak[:, None, None]
         return cls(boards, board, found, board.drive * np.concatenate(drivers, axis=1))
 
 

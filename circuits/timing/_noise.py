@@ -23,13 +23,12 @@ from ...common.constants import BOLTZMANN
 from ...errors import InputError, SolverError
 from .._design import Design
 from .._population import Boards
+from .._tuning import LEAST_SIEMENS
 from ..ends import Scan
 from ._circuit import Circuit, ColumnNetworks, require_amplifiers, sampler_delay
 from ._events import EventScan
 
 _ORIGINS = ("amplifier voltage", "amplifier current", "grid", "reference resistor")
-_LEAST_INTENSITY = 1e-16
-"""S, of the grid: less is the conductance of nodes that nothing is connected to"""
 
 
 @dataclass(frozen=True)
@@ -178,7 +177,7 @@ def _variances(networks: ColumnNetworks, group: int, loaded: IntArray, thermal_e
     intensities["reference resistor"][at_loads, at_loads] = 2 * thermal_energy / board.reference[0, 0, at_loads]
     found = {}
     for name, intensity in intensities.items():
-        if not (np.abs(intensity) > _LEAST_INTENSITY * thermal_energy).any():
+        if not (np.abs(intensity) > LEAST_SIEMENS * thermal_energy).any():
             continue
         if (circuit.feedthrough[0, read] @ intensity).any():
             raise InputError(

@@ -26,10 +26,8 @@ import numpy as np
 from ...common.arrays import ComplexArray, FloatArray, IntArray
 from .._design import Design
 from .._population import Boards
-from ._circuit import NEGLIGIBLE, ROUNDING, Circuit, ColumnNetworks, sampler_delay
-
-_LONG = 60.0
-"""time constants after which a deviation is below rounding"""
+from .._tuning import LONG, NEGLIGIBLE, ROUNDING
+from ._circuit import Circuit, ColumnNetworks, sampler_delay
 
 
 class Deviations(NamedTuple):
@@ -208,7 +206,7 @@ class RepeatedScan:
         if not self._acquisition or not modes.rate.shape[-1]:
             nothing = np.zeros((self._goals.shape[1], *self._board.shape))
             return Deviations(nothing, nothing)
-        return self.deviations(self.briefest + _LONG / modes.slowest)
+        return self.deviations(self.briefest + LONG / modes.slowest)
 
     def modes(self) -> Modes:
         """Modes of :meth:`deviations` after the waiting time, which is the row period less :attr:`briefest`."""
