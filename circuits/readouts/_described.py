@@ -95,7 +95,8 @@ class ByNodes(Networks):
 
     def at_rest(self, board: Parts) -> FloatArray:
         assert board.line_ends is not None
-        return _alone(board.line_ends)[0]
+        rest: FloatArray = _alone(board.line_ends)[0]
+        return rest
 
     def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
         ends = board.line_ends
@@ -127,39 +128,34 @@ def _equivalents(board: Parts) -> Columns:
 
 
 @lru_cache(maxsize=64)
-def _alone(ends: LineEnds) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Volts (N, M) without a cell, and gain in V ohm and span in ohm of :class:`._circuit.Alone`.
+def _kinds(ends: LineEnds) -> tuple[tuple[int, int, BoolArray], ...]:
+    """Row and column of one crosspoint of each kind of ends, and all crosspoints (N, M) of this kind."""
+    places: dict[tuple[object, ...], BoolArray] = {}
+    for row, column in np.ndindex(ends.shape):
+        key = ends.selected[row], ends.idle[row], ends.read[column], ends.unread[column]
+        places.setdefault(key, np.zeros(ends.shape, dtype=np.bool_))[row, column] = True
+    first = [np.argwhere(own)[0].tolist() for own in places.values()]
+    return tuple((row, column, own) for (row, column), own in zip(first, places.values(), strict=True))
+
+
+@lru_cache(maxsize=64)
+def _alone(ends: LineEnds) -> FloatArray:
+    """Volts (3, N, M) without a cell, and gain in V ohm and span in ohm of :class:`._circuit.Alone`.
 
     In a linear circuit the output is a fraction of two linear functions of the cell's conductance, which three
     solutions give.
     """
-    rows, columns = ends.shape
-    rest, gain, span = np.empty((3, rows, columns))
-    known: dict[tuple[object, ...], tuple[float, float, float]] = {}
-    for row in range(rows):
-        for column in range(columns):
-            key = ends.selected[row], ends.idle[row], ends.read[column], ends.unread[column]
-            if key not in known:
-                known[key] = _fraction(ends, row, column)
-            rest[row, column], gain[row, column], span[row, column] = known[key]
-    return rest, gain, span
+    found = np.empty((3, *ends.shape))
+    for row, column, own in _kinds(ends):
+        found[:, own] = np.array(_fraction(ends, row, column))[:, None]
+    return found
 
 
 @lru_cache(maxsize=64)
 def _curves(ends: LineEnds) -> tuple[tuple[FloatArray, FloatArray, BoolArray], ...]:
     """Logarithms of a cell's conductance, its output alone in V, and the crosspoints (N, M) that have this curve."""
-    rows, columns = ends.shape
-    places: dict[tuple[object, ...], BoolArray] = {}
-    for row in range(rows):
-        for column in range(columns):
-            key = ends.selected[row], ends.idle[row], ends.read[column], ends.unread[column]
-            places.setdefault(key, np.zeros((rows, columns), dtype=np.bool_))[row, column] = True
     log = np.linspace(*CURVE, CURVE_POINTS)
-    found = []
-    for own in places.values():
-        row, column = (int(place) for place in np.argwhere(own)[0])
-        found.append((log, alone(ends, row, column, 10.0**log), own))
-    return tuple(found)
+    return tuple((log, alone(ends, row, column, 10.0**log), own) for row, column, own in _kinds(ends))
 
 
 def _each_curve(
