@@ -69,7 +69,7 @@ def _read_ports(board: Board, cells: FloatArray) -> tuple[Outputs, FloatArray]:
     # Two bounds hold; the second is coarse, but finite where a port has an infinite conductance to the others.
     by_energy = board.circuit.energy_bound(board, ports, moved)
     by_entry = entrywise(np.asarray(moved), _nodes(board)) * reading.magnitude
-    error = np.fmin(by_energy, by_entry) + few * (np.abs(reading.volts) + without_current + reading.cancelled)
+    error = np.fmin(by_energy, by_entry) + few * (np.abs(reading.volts) + without_current + reading.magnitude)
     return Outputs(reading.volts, reading.saturated), error + reading.error
 
 

@@ -33,10 +33,8 @@ class Reading(NamedTuple):
     saturated: BoolArray
     """(..., N, M) outputs that stand at a supply limit"""
     magnitude: FloatArray
-    """(..., N, M) V: sum of the magnitudes of those terms of an output that are proportional to port conductances;
-    terms that do not depend on the grid are left out"""
-    cancelled: FloatArray
-    """(..., N, M) V: the same sum over the terms with a difference a - b of sources, with abs(a) + abs(b) instead"""
+    """(..., N, M) V: sum of the magnitudes of those terms of an output that are proportional to port conductances, of a
+    difference of sources both; terms that do not depend on the grid are left out"""
     relative: float = 0.0
     """bound on the relative rounding error of the conductances after all eliminations"""
     error: FloatArray | float = 0.0

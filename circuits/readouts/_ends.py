@@ -85,9 +85,7 @@ class Currents(NamedTuple):
     value: FloatArray
     """(..., N, M) A"""
     magnitude: FloatArray
-    """(..., N, M) A: sum of the magnitudes of the terms of the current"""
-    cancelled: FloatArray
-    """(..., N, M) A: the same sum over the terms with a difference a - b of sources, with abs(a) + abs(b) instead"""
+    """(..., N, M) A: sum of the magnitudes of the terms of the current, of a difference of sources both"""
     relative: FloatArray
     """(...,) bound on the relative error of the network's conductances, all further eliminations included"""
 
@@ -106,19 +104,14 @@ def column_currents(board: Parts, terminated: Rounded, source: FloatArray) -> Cu
     source = of_columns(source)
     here, there = source[..., None, :], source[..., None]
     difference = here - there  # exactly zero for equal sources, so that no large terms cancel
-    before = np.where(difference != 0, np.abs(here) + np.abs(there), 0.0)
+    both = np.where(difference != 0, np.abs(here) + np.abs(there), 0.0)
     if not board.floating:
-        transfer = network[..., :rows, rows:]
-        idle = (network[..., rows:, rows:] * difference).sum(axis=-1) - transfer.sum(axis=-2) * source
-        idle_size = (network[..., rows:, rows:] * np.abs(difference)).sum(axis=-1)
-        idle_size += transfer.sum(axis=-2) * np.abs(source)
-        return Currents(
-            value=board.drive * transfer + idle[..., None, :],
-            magnitude=abs(board.drive) * transfer + idle_size[..., None, :],
-            cancelled=(network[..., rows:, rows:] * before).sum(axis=-1)[..., None, :] + np.zeros_like(transfer),
-            relative=relative,
-        )
-    currents, sizes, cancelled = np.full((3, *network.shape[:-2], rows, columns), np.nan)
+        transfer, between = network[..., :rows, rows:], network[..., rows:, rows:]
+        idle = (between * difference).sum(axis=-1) - transfer.sum(axis=-2) * source
+        idle_size = (between * both).sum(axis=-1) + transfer.sum(axis=-2) * np.abs(source)
+        value = board.drive * transfer + idle[..., None, :]
+        return Currents(value, abs(board.drive) * transfer + idle_size[..., None, :], relative)
+    currents, sizes = np.full((2, *network.shape[:-2], rows, columns), np.nan)
     worst = np.zeros(relative.shape)  # each step is solved on its own
     drive = np.atleast_2d(board.drive)
     applied = np.concatenate([drive, np.zeros_like(drive)][: 1 + board.pulled], axis=-2)
@@ -126,12 +119,9 @@ def column_currents(board: Parts, terminated: Rounded, source: FloatArray) -> Cu
     for row, alone, step in one_driven(network, rows, board.steps):
         worst = np.maximum(worst, step)
         to_fixed, between = alone[..., :fixed, fixed:], alone[..., fixed:, fixed:]
-        driven = to_fixed * (applied - here)
-        currents[..., row, :] = driven.sum(axis=-2) + (between * difference).sum(axis=-1)
-        sizes[..., row, :] = np.abs(driven).sum(axis=-2) + (between * np.abs(difference)).sum(axis=-1)
-        cancelled[..., row, :] = (between * before).sum(axis=-1)
-        cancelled[..., row, :] += (to_fixed * (np.abs(applied) + np.abs(here))).sum(axis=-2)
-    return Currents(currents, sizes, cancelled, relative + worst)
+        currents[..., row, :] = (to_fixed * (applied - here)).sum(axis=-2) + (between * difference).sum(axis=-1)
+        sizes[..., row, :] = (to_fixed * (np.abs(applied) + np.abs(here))).sum(axis=-2) + (between * both).sum(axis=-1)
+    return Currents(currents, sizes, relative + worst)
 
 
 def one_driven(
@@ -161,16 +151,16 @@ def currents_in_turns(board: Parts, ports: FloatArray, ends: Ends) -> Currents:
     rows, columns = board.shape
     if not board.pulled and reads_alone(board, ends):
         return _currents_alone(board, ports, ends.resistance + board.column_lead)
-    value, magnitude, cancelled = np.empty((3, *ports.shape[:-2], rows, columns))
+    value, magnitude = np.empty((2, *ports.shape[:-2], rows, columns))
     relative = np.zeros(ports.shape[:-2])
     for read in board.turns:
         behind = np.where(read, ends.resistance, board.idle_resistance) + board.column_lead
         terminated = terminate(ports, rows + board.pulled, behind)
         part = column_currents(board, terminated, np.where(read, ends.source, board.idle_source))
-        for whole, own in zip((value, magnitude, cancelled), part[:3], strict=True):
+        for whole, own in zip((value, magnitude), part[:2], strict=True):
             whole[..., read] = own[..., read]
         relative = np.maximum(relative, part.relative)
-    return Currents(value, magnitude, cancelled, relative)
+    return Currents(value, magnitude, relative)
 
 
 def reads_alone(board: Parts, ends: Ends) -> bool:
@@ -192,7 +182,7 @@ def _currents_alone(board: Parts, ports: FloatArray, behind: FloatArray) -> Curr
         inner, relative = inverted(ports[..., rows:, rows:], ports[..., :rows, rows:].sum(axis=-2), rows)
         open_circuit = board.drive * ports[..., :rows, rows:] @ inner
         current = open_circuit / (behind + np.einsum("...jj->...j", inner)[..., None, :])
-    return Currents(current, np.abs(current), np.zeros_like(current), relative)  # a quotient of sums of one sign
+    return Currents(current, np.abs(current), relative)  # a quotient of sums of one sign
 
 
 def effective_resistance(ports: FloatArray, rows: int, steps: IntArray | None = None) -> Rounded:

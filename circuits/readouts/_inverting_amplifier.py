@@ -50,22 +50,21 @@ class InvertingAmplifier(Terminated):
         return Ends(*(np.where(state == 0, *both) for both in zip(linear, limited, strict=True)))
 
     def read(self, board: Parts, ports: FloatArray) -> Reading:
-        volts, saturated, magnitude, cancelled, relative, _ = super().read(board, ports)
+        volts, saturated, magnitude, relative, _ = super().read(board, ports)
         low, high = board.supply
         saturated = (volts < low) | (volts > high)
         if self.columns_one_by_one(board):  # one amplifier at a time: its limited output is the nearest limit
-            magnitude, cancelled = (np.where(saturated, 0.0, part) for part in (magnitude, cancelled))
-            volts = np.clip(volts, low, high)
+            magnitude, volts = np.where(saturated, 0.0, magnitude), np.clip(volts, low, high)
         elif saturated.any():
             frames = ports.reshape(-1, *ports.shape[-2:])
-            parts = [part.reshape(-1, *board.shape) for part in (volts, saturated, magnitude, cancelled)]
+            parts = [part.reshape(-1, *board.shape) for part in (volts, saturated, magnitude)]
             for frame in np.flatnonzero(parts[1].any(axis=(1, 2))).tolist():
                 of_frame = Reading(*(part[frame] for part in parts))
                 *limited, own, _ = self._read_saturated(board.member(frame), frames[frame], of_frame)
                 for part, instead in zip(parts, limited, strict=True):
                     part[frame] = instead
                 relative = max(relative, own)
-        return Reading(volts, saturated, magnitude, cancelled, relative)
+        return Reading(volts, saturated, magnitude, relative)
 
     def _read_saturated(self, board: Parts, ports: FloatArray, unlimited: Reading) -> Reading:
         """One frame with saturated outputs; those of each scan step by principal pivoting."""
@@ -75,9 +74,7 @@ class InvertingAmplifier(Terminated):
         at_low, at_high = (
             np.where(np.isinf(board.gain), 0.0, end / board.gain) if isfinite(end) else 0.0 for end in (low, high)
         )
-        volts, magnitude, cancelled = (
-            part.copy() for part in (unlimited.volts, unlimited.magnitude, unlimited.cancelled)
-        )
+        volts, magnitude = unlimited.volts.copy(), unlimited.magnitude.copy()
         state = (volts > high).astype(np.int8) - (volts < low).astype(np.int8)
         pending: BoolArray = np.atleast_1d(state.any(axis=1))
         relative = 0.0
@@ -92,7 +89,6 @@ class InvertingAmplifier(Terminated):
                 every = column_currents(board, network, ends.source)
                 currents, relative = every.value[steps], max(relative, float(every.relative))
                 magnitude[steps] = np.abs(ends.slope) * every.magnitude[steps]
-                cancelled[steps] = np.abs(ends.slope) * every.cancelled[steps]
                 volts[steps] = ends.output + ends.slope * currents
                 wanted = (volts[steps] > high).astype(np.int8) - (volts[steps] < low).astype(np.int8)
                 # An output stays at its limit while the amplifier's input still drives it outwards.
@@ -105,7 +101,7 @@ class InvertingAmplifier(Terminated):
                 pending[steps] = (wanted != pattern).any(axis=1)
                 state[steps] = wanted
             if not pending.any():
-                return Reading(volts, state != 0, magnitude, cancelled, relative)
+                return Reading(volts, state != 0, magnitude, relative)
         raise SolverError("no consistent set of saturated outputs was found; check supply and reference_voltage")
 
     def undetermined(self, board: Parts, rows: IntArray, columns: IntArray) -> BoolArray | None:

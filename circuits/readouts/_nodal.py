@@ -38,7 +38,7 @@ def read_nodes(board: Parts, ports: FloatArray) -> Reading:
                 magnitude[frame, row, place] = 0.5 * float((drop * np.abs(field[:, None] - field)).sum())
     shape = (*batch, rows, columns)
     volts, saturated, magnitude, error = (part.reshape(shape) for part in (volts, saturated, magnitude, error))
-    return Reading(volts, saturated, magnitude, np.zeros(shape), 0.0, error)
+    return Reading(volts, saturated, magnitude, 0.0, error)
 
 
 def node_groups(board: Parts, ports: FloatArray) -> Iterator[SensitivityGroup]:

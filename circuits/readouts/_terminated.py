@@ -73,9 +73,9 @@ class Terminated(ReadoutCircuit):
         ends = self.read_ends(board)
         currents = self._currents(board, ports, ends)
         volts = ends.output + ends.slope * currents.value
-        magnitude, cancelled = (np.abs(ends.slope) * part for part in (currents.magnitude, currents.cancelled))
+        magnitude = np.abs(ends.slope) * currents.magnitude
         relative = float(currents.relative.max(initial=0.0))
-        return Reading(volts, np.zeros(volts.shape, dtype=np.bool_), magnitude, cancelled, relative)
+        return Reading(volts, np.zeros(volts.shape, dtype=np.bool_), magnitude, relative)
 
     def _currents(self, board: Parts, ports: FloatArray, ends: Ends) -> Currents:
         if self.columns_one_by_one(board):

@@ -84,8 +84,7 @@ class VoltageFeedback(VoltageDivider):
         from_row = balance.driven * (np.abs(board.drive - column) + ULP * np.abs(column))
         from_idle = balance.idle * (follower + board.inverse_gain * np.abs(column))
         magnitude = board.loop_share * (from_row + from_idle) / balance.slope
-        lifted = board.loop_share * balance.idle * follower / balance.slope
-        return Reading(np.clip(volts, low, high), saturated, magnitude, lifted, balance.relative)
+        return Reading(np.clip(volts, low, high), saturated, magnitude, balance.relative)
 
     def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
         driven, across = behind_leads(network, board.column_lead)
