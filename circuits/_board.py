@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,50 @@ from ..common.arrays import FloatArray
 from ..common.config import Section
 from ._parts import Parts
 from ._readout import Readout
-from ._sections import Adc, Fault
-from .ends import GROUND, LINE, OUT, REF, Card, LineEnds, Network, Rows, amplifier
+from ._sections import Adc, Array, Drive, Fault, Sheet
+from .ends import (
+    GROUND,
+    LINE,
+    OUT,
+    REF,
+    Card,
+    ColumnEnd,
+    Crosspoint,
+    LineEnds,
+    Network,
+    Reference,
+    RowEnd,
+    Rows,
+    amplifier,
+)
 from .readouts import CIRCUITS, LinearReadout, ReadoutCircuit, networks
 
-if TYPE_CHECKING:
-    from ._design import Design
+
+class Sections(Protocol):
+    """What a board is made of: the sections of a :class:`._design.Design`."""
+
+    @property
+    def array(self) -> Array: ...
+    @property
+    def sheet(self) -> Sheet: ...
+    @property
+    def drive(self) -> Drive: ...
+    @property
+    def readout(self) -> Readout: ...
+    @property
+    def adc(self) -> Adc | None: ...
+    @property
+    def fault(self) -> tuple[Fault, ...]: ...
+    @property
+    def row_end(self) -> RowEnd | None: ...
+    @property
+    def column_end(self) -> ColumnEnd | None: ...
+    @property
+    def reference(self) -> Reference | None: ...
+    @property
+    def crosspoint(self) -> Crosspoint | None: ...
+    @property
+    def is_described(self) -> bool: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +78,7 @@ class Board(Parts):
     """None: the outputs are not converted"""
 
     @classmethod
-    def of(cls, design: Design, *, by_nodes: bool = False, values: Mapping[str, FloatArray] | None = None) -> Board:
+    def of(cls, design: Sections, *, by_nodes: bool = False, values: Mapping[str, FloatArray] | None = None) -> Board:
         """Expand a design. Users take ``design.board``, which keeps the result.
 
         Args:
@@ -119,7 +157,7 @@ class Board(Parts):
         return self.circuit.linear(self)
 
 
-def _with_networks(board: Board, design: Design, *, by_nodes: bool) -> Board:
+def _with_networks(board: Board, design: Sections, *, by_nodes: bool) -> Board:
     """The board with the networks of the design at its lines, and those that its other keys stand for."""
     ends = _line_ends(board, design)
     rows = columns = None
@@ -158,7 +196,7 @@ def _with_networks(board: Board, design: Design, *, by_nodes: bool) -> Board:
     )
 
 
-def _line_ends(board: Board, design: Design) -> LineEnds:
+def _line_ends(board: Board, design: Sections) -> LineEnds:
     """Cards of all ends; of those that are not described, as the other keys of the design say."""
     if board.circuit.drives_idle_lines:
         return _followed(board)
@@ -185,7 +223,7 @@ def _line_ends(board: Board, design: Design) -> LineEnds:
     return LineEnds(selected, idle, read, unread, shared, reference, board.level, crosspoint)
 
 
-def _leads_in_ends(board: Board, design: Design) -> FloatArray:
+def _leads_in_ends(board: Board, design: Sections) -> FloatArray:
     """(N,) ohm of the rows' leads that are parts of their ends: ahead of pull-downs, and where the ports of a grid with
     ideal lines have to be its cells alone.
     """
@@ -200,13 +238,10 @@ def _followed(board: Board) -> LineEnds:
     zero = "level" if board.level else GROUND
     level = (Card("VLEVEL", (zero, GROUND), board.level),) if board.level else ()
     idle = (Card("VIDLE", (LINE, REF), 0.0),)
-    low, high = board.supply
     read = []
-    for ohm, gain, offset, bias in zip(board.reference, board.gain, board.offset, board.bias, strict=True):
-        follower = amplifier(
-            *(LINE, OUT, OUT), open_loop_gain=float(gain), offset_voltage=float(offset), low=low, high=high
-        )
-        load = Card("RREF", (LINE, zero), float(ohm)), Card("IBIAS", (LINE, zero), float(bias))
+    for j, (ohm, bias) in enumerate(zip(board.reference.tolist(), board.bias.tolist(), strict=True)):
+        load = Card("RREF", (LINE, zero), ohm), Card("IBIAS", (LINE, zero), bias)
+        follower = _amplifier(board, j, (LINE, OUT, OUT), bias_current=0.0)  # on its own card: the input is the load's
         read.append((*level, *load, follower, Card("VOUT", (OUT, REF), 0.0)))
     drive = (*level, Card("VDRIVE", (LINE, zero), board.drive))
     nothing = (Card("IREF", (REF, GROUND), 0.0),)  # the node is one for all lines
@@ -235,22 +270,11 @@ def _named_rows(board: Board, ref: str) -> tuple[tuple[Network, ...], tuple[Netw
 
 def _named_columns(board: Board, ref: str) -> tuple[tuple[Network, ...], tuple[Network, ...]]:
     """The networks that ``[readout]`` stands for, of an end while it has its turn and of an idle column."""
-    low, high = board.supply
     read: list[Network] = []
     unread: list[Network] = []
     for j, ohm in enumerate(board.reference.tolist()):
         load = Card("RREF", ("line", "out" if board.circuit.virtual_ground else ref), ohm)
-        amplified = amplifier(
-            *(ref, "line", "out"),
-            open_loop_gain=float(board.gain[j]),
-            offset_voltage=float(board.offset[j]),
-            bias_current=float(board.bias[j]),
-            gain_bandwidth=board.readout.gain_bandwidth,
-            voltage_noise=board.readout.voltage_noise,
-            current_noise=board.readout.current_noise,
-            low=low,
-            high=high,
-        )
+        amplified = _amplifier(board, j, (ref, "line", "out"))
         feedback = Card("CREF", load.nodes, board.readout.feedback_capacitance)
         read.append((load, feedback, amplified) if board.circuit.virtual_ground else (load,))
         match board.idle_columns:
@@ -261,6 +285,17 @@ def _named_columns(board: Board, ref: str) -> tuple[tuple[Network, ...], tuple[N
             case "load":
                 unread.append((Card("RIDLE", ("line", ref), ohm),))
     return tuple(read), tuple(unread)
+
+
+def _amplifier(board: Board, column: int, nodes: tuple[str, str, str], **keys: float) -> Card:
+    """The amplifier of a column between its inputs (+ and -) and its output."""
+    part = board.readout
+    own = {"open_loop_gain": board.gain, "offset_voltage": board.offset, "bias_current": board.bias}
+    given = {key: float(values[column]) for key, values in own.items()}
+    given |= {key: getattr(part, key) for key in ("gain_bandwidth", "voltage_noise", "current_noise")}
+    low, high = board.supply
+    plus, minus, out = nodes
+    return amplifier(plus, minus, out, **(given | {"low": low, "high": high} | keys))
 
 
 def cell_alone(board: Board, conductance: FloatArray, shunt: FloatArray) -> FloatArray:

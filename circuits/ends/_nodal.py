@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache
 from math import inf, isinf, sqrt
 from typing import NamedTuple
@@ -311,16 +312,10 @@ def _sides(system: System, unknowns: FloatArray, state: list[int]) -> list[int]:
 
 def alone(ends: LineEnds, row: int, column: int, conductance: FloatArray) -> FloatArray:
     """V of the output with one cell alone between a selected row and a read column, for each conductance in S."""
-    one = LineEnds(
-        selected=(ends.selected[row],),
-        idle=(ends.idle[row],),
-        read=(ends.read[column],),
-        unread=(ends.unread[column],),
-        shared_by=1,
-        reference=ends.reference,
-        level=ends.level,
-        crosspoint=ends.crosspoint,
-    )
+    row_end, column_end = slice(row, row + 1), slice(column, column + 1)
+    own = {name: getattr(ends, name)[row_end] for name in ("selected", "idle")}
+    own |= {name: getattr(ends, name)[column_end] for name in ("read", "unread")}
+    one = replace(ends, shared_by=1, **own)
     found, start, read = [], None, np.array([True])
     for siemens in conductance:
         network = np.array([[0.0, siemens], [siemens, 0.0]])
