@@ -17,7 +17,9 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 from weakref import ref
 
@@ -222,8 +224,8 @@ class ContactsOfFrames:
                 view.contacts = self._tracker.contacts(view.found)
             return view.contacts
 
-    def pass_by(self, view: PressureView) -> None:
-        """Take a new frame, or keep it until contacts are asked for."""
+    def pass_by(self, view: PressureView) -> Callable[[], tuple[Contact, ...]]:
+        """Take a new frame, or keep it until contacts are asked for. Returns a function that asks for its contacts."""
         self._waiting.append(ref(view))
         if self._asked:
             with self._lock:
@@ -231,6 +233,7 @@ class ContactsOfFrames:
         elif len(self._waiting) > self._most_waiting:
             with self._lock:
                 self._forget_dead()
+        return partial(self.of, view)
 
     def catch_up(self) -> None:
         """Take the frames that wait, as on a request."""

@@ -21,7 +21,7 @@ from ..common.text import printable
 from ..errors import InputError, LinkEnded, LinkError
 from ..wire import Description, Identity, Order
 from ._connection import await_free
-from ._consumer import AsyncFrames, Consumer, FrameCallback, follower, frames_since
+from ._consumer import AsyncFrames, Consumer, FrameCallback, Source, follower, frames_since
 from ._contacts import Touch
 from ._convert import Converter
 from ._discover import LONGEST_SEARCH_S, find_board
@@ -117,7 +117,8 @@ class BoardSkin:
             if self._recorder is not None:
                 self._recorder.discard()
             raise
-        self._frames = self._connection.frames
+        self._source: Source = self._connection
+        self._frames = self._source.frames
         self.settings = settings
         """settings with which the skin was opened, for recordings"""
         self.family = options.family
@@ -127,7 +128,7 @@ class BoardSkin:
         """rest resistances and gains of the cells; None: all cells are as the cell model says"""
         self.recorded_s = port.seconds if isinstance(port, ReplayPort) else None
         """duration of the recording in s; None: the board is live"""
-        self._consumer = Consumer(self._connection, after=0)
+        self._consumer = Consumer(self._source, after=0)
         self._callbacks: list[FrameCallback] = []
         self._tares = Tares(self._frames, self._consumer, self.calibration)
         if self._recorder is not None:
@@ -264,7 +265,7 @@ class BoardSkin:
     @property
     def port_name(self) -> str:
         """Name of the port; after a reconnection, of the one where the board is now."""
-        return self._connection.port_name
+        return self._source.port_name
 
     @property
     def geometry(self) -> Geometry:
@@ -354,11 +355,11 @@ class BoardSkin:
 
     def __aiter__(self) -> AsyncIterator[Frame]:
         """The frames from now on, for ``async for``; ends and raises as iteration does."""
-        return AsyncFrames(self._connection, self._timeout, keep=self)
+        return AsyncFrames(self._source, self._timeout, keep=self)
 
     def frames(self) -> Iterator[Frame]:
         """An iterator with a place of its own, from now on: frames that other readers take do not go missing here."""
-        return self._follow(Consumer(self._connection))
+        return self._follow(Consumer(self._source))
 
     def _follow(self, consumer: Consumer) -> Iterator[Frame]:
         try:
@@ -433,7 +434,7 @@ class BoardSkin:
             LinkEnded, LinkError: as for :meth:`read`, where there is no such frame.
 
         """
-        frames = frames_since(self._connection, number("monotonic_time", monotonic_time, "s"))
+        frames = frames_since(self._source, number("monotonic_time", monotonic_time, "s"))
         if not frames and self._frames.end is not None:
             raise copy.copy(self._frames.end)
         return frames
@@ -457,7 +458,7 @@ class BoardSkin:
             InputError: ``callback`` or ``on_end`` is no function.
 
         """
-        made = FrameCallback(Consumer(self._connection), self.port_name, callback, on_end, keep=self)
+        made = FrameCallback(Consumer(self._source), self.port_name, callback, on_end, keep=self)
         # Dropping callbacks that have ended releases the objects to which they refer.
         self._callbacks = [earlier for earlier in self._callbacks if not earlier.is_over] + [made]
         return made
