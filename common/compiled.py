@@ -63,7 +63,7 @@ _OPTIONS: dict[str, bool | str] = {"nogil": True, "error_model": "numpy", "no_cf
 _UNCOUNTED = {"_nrt": False}
 """an option that Numba does not document: nobody counts references to arrays, which doubles what a call costs. Where a
 kernel makes arrays, they must be counted"""
-_MAKERS = {"empty", "zeros"}
+_MAKERS = {"empty", "zeros", "argsort"}
 """functions of NumPy that make arrays; no kernel may use another one"""
 _SCALARS = {float: "float64", int: "intp", bool: "boolean", type(None): "void"}
 _OFF, _CHECKED = ("0", "no", "off", "false"), "checked"
@@ -426,7 +426,8 @@ def _await(process: subprocess.Popen[bytes], missing: list[Loop[..., Any]]) -> N
 def loop(function: Callable[P, R]) -> Loop[P, R]:
     """Make a function of a module a kernel: a decorator.
 
-    Its annotations are the types above, records, ``float``, ``int``, ``bool``, None, and tuples of these. Beside its
+    Its annotations are the types above, records, ``float``, ``int``, ``bool``, None, and tuples of these, named or not
+    (``NamedTuple``: arrays that belong together are one argument). Beside its
     arguments it uses numbers of its module, the modules ``math`` and ``numpy``, and other kernels; within a function,
     no function. Calls are quickest where neither it nor the kernels that it calls make arrays (``numpy.empty``,
     ``numpy.zeros``).
@@ -494,4 +495,7 @@ def _numba_type(hint: Any) -> Any:
         return types.Tuple([_numba_type(part) for part in get_args(hint)])
     if isinstance(hint, type) and issubclass(hint, Record):
         return from_dtype(hint.dtype())
+    if isinstance(hint, type) and issubclass(hint, tuple):
+        fields = get_type_hints(hint, include_extras=True).values()
+        return types.NamedTuple([_numba_type(part) for part in fields], hint)
     return getattr(types, _SCALARS[hint])

@@ -13,10 +13,13 @@ from boards import DESIGN, Wire, lossless, scene
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from ohmskin.common import compiled
 from ohmskin.common.arrays import FloatArray
 from ohmskin.common.geometry import Geometry
 from ohmskin.driver import MESSAGE_SCHEMAS, Contact, ContactTracker, messages_of
 from ohmskin.driver._contacts import MOST_DEAD, ContactsOfFrames, PressureView
+from ohmskin.driver._touch import Memory
+from ohmskin.driver._tracks import free_place
 from ohmskin.emulator import Board
 from ohmskin.errors import InputError
 
@@ -200,6 +203,30 @@ def test_a_new_contact_gets_a_new_id_and_a_short_dropout_keeps_the_old_one() -> 
     seen = track([press] + [nothing] * 10 + [press] + [nothing] * 40 + [press])
     ids = [contacts[0].id for contacts in seen if contacts]
     assert ids == [1, 1, 2]
+
+
+def test_a_hand_of_eight_fingers_that_is_lifted_at_once_leaves_no_place_of_memory_out_of_bounds() -> None:
+    """As plain Python, where an index beyond an array is an error: machine code would write there."""
+    angles = np.arange(8) * np.pi / 4
+    spread = [
+        sum(bump((12, 12), 5.5 + d * np.sin(a), 5.5 + d * np.cos(a), 10.0, 0.6) for a in angles) for d in (5, 4.5)
+    ]
+    palm = [np.maximum(one, 9.5) for one in spread]
+    untouched = [np.zeros((12, 12))]
+    with compiled.switched_off():
+        found = track([*spread, *palm, *untouched, *spread])
+    assert [len(one) for one in found[:2]] == [8, 8]
+    assert [len(one.joined) for one in found[3]] == [7]
+    assert found[4] == ()
+    assert {one.id for one in found[6]} == {one.id for one in found[0]}
+
+
+def test_where_no_place_for_a_finger_is_free_the_one_lifted_first_is_forgotten() -> None:
+    memory = Memory.of_nothing(2)
+    (progress,), tracks = memory.progress, memory.tracks
+    assert [int(free_place.function(progress, tracks)) for _ in tracks] == [0] * len(tracks)
+    tracks["id"], tracks["seen_s"], progress.tracks = 1.0, np.roll(np.arange(len(tracks)), 3), len(tracks)
+    assert free_place.function(progress, tracks) == 3
 
 
 def test_noise_makes_no_contacts_and_a_weak_press_does_not_flicker() -> None:
