@@ -32,6 +32,8 @@ from ._scan import scan
 from ._sections import PerLine
 from .readouts import EndParts, Ends, Terminated
 
+MOST_BUILT = 64
+"""boards that are kept while others are read one by one"""
 _OF_ROW, _OF_COLUMN = {"section": "array", "lines": "rows"}, {"section": "array", "lines": "columns"}
 _OF_READOUT, _SHARED = {"section": "readout", "lines": "sensed"}, {"section": "readout", "lines": "board"}
 """the section of DESIGN.toml that a part is in, and the lines that have one each"""
@@ -88,6 +90,11 @@ class Boards:
     def count(self) -> int:
         """S, or 1 if all boards are alike."""
         return max(map(len, (*(getattr(self, name) for name in self.names()), *self.ends.values())))
+
+    def values(self, board: int) -> bytes:
+        """All values of one board: equal if, and only if, two boards are alike."""
+        parts = (*(getattr(self, name) for name in self.names()), *self.ends.values())
+        return np.concatenate([part[0 if len(part) == 1 else board] for part in parts]).tobytes()
 
     @property
     def at_ends(self) -> EndParts:
@@ -198,8 +205,13 @@ def scan_population(
             np.clip(volts, low, high, out=volts)
     else:
         again = np.ones(count, dtype=np.bool_)
+    built: dict[bytes, Design] = {}
     for number in np.flatnonzero(again):
-        result = scan(boards.design(design, int(number)), cells[0 if len(cells) == 1 else number], method="exact")
+        alike = boards.values(number)
+        if alike not in built:  # what follows from a board's parts alone is worked out once
+            built = built if len(built) < MOST_BUILT else {}
+            built[alike] = boards.design(design, int(number))
+        result = scan(built[alike], cells[0 if len(cells) == 1 else number], method="exact")
         volts[number] = np.where(wanted[number], result.volts, np.nan)
         saturated[number] = wanted[number] & result.saturated
     return PopulationReading(volts, saturated)
