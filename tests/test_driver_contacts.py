@@ -216,6 +216,21 @@ def test_a_new_contact_gets_a_new_id_and_a_short_dropout_keeps_the_old_one() -> 
     assert ids == [1, 1, 2]
 
 
+@given(st.lists(st.tuples(st.floats(0, 15), st.floats(0, 15), st.floats(5, 15)), max_size=3), st.floats(0.0, 1e4))
+def test_contacts_do_not_depend_on_when_the_clock_began(
+    places: list[tuple[float, float, float]], start_s: float
+) -> None:
+    """Fingers that come, jump and go within some frames: next to a cell it is the same finger, and far off another."""
+    frames = [bump((16, 16), 3, 3, 9.0), np.zeros((16, 16)), *(bump((16, 16), *one) for one in places)]
+    frames += [bump((16, 16), 12, 12, 9.0)]
+
+    def ids(first_s: int) -> list[list[int]]:
+        one = tracker()
+        return [[c.id for c in one.update(first_s + k / 128, f, 0.0 * f)] for k, f in enumerate(frames)]
+
+    assert ids(start_s) == ids(0)
+
+
 def test_noise_makes_no_contacts_and_a_weak_press_does_not_flicker() -> None:
     """Noise of 1 kPa with a correct standard deviation; a press between the two thresholds once it has begun."""
     rng = np.random.default_rng(8)
@@ -490,15 +505,16 @@ def test_what_a_moving_finger_leaves_behind_is_no_contact(
     assert {contact.id for contacts in track(frames, std_kpa=0.02) for contact in contacts} == {1}
 
 
-def test_hysteresis_keeps_a_contact_and_makes_no_second_one() -> None:
+@pytest.mark.parametrize("fingers", [1, 2])
+def test_hysteresis_keeps_a_contact_of_as_many_pieces_as_it_has_fingers(fingers: int) -> None:
     """A light press falls apart into two patches, both between the thresholds."""
-    whole, parts = np.zeros((5, 9)), np.zeros((5, 9))
-    whole[1:4, 2:7] = 1.5 * 0.03 * FULL_KPA
+    apart, whole, parts = np.zeros((3, 5, 9))
+    apart[1:4, [1, 2, 6, 7]] = whole[1:4, 2:7] = 1.5 * 0.03 * FULL_KPA
     parts[1:4, 2:7] = 0.8 * 0.03 * FULL_KPA
     parts[1:4, 5] = 0.0
-    (before,), (after,) = track([whole, parts])
-    assert after.id == before.id
-    assert len(after.cells) == 9
+    begun, (before,), after = track([apart if fingers == 2 else whole, whole, parts])
+    assert [contact.id for contact in begun] == [before.id, *before.joined] == sorted(contact.id for contact in after)
+    assert max(len(contact.cells) for contact in after) == 9
 
 
 @pytest.mark.parametrize(("sigma", "peak_kpa"), [(1.0, 9.0), (3.0, 9.0), (3.0, 1.5), (4.0, 4.0)])
