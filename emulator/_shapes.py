@@ -24,6 +24,7 @@ from ..common.extras import install_command
 from ..common.files import MOST_BYTES, read_bytes
 from ..common.tables import read_matrix
 from ..errors import InputError, MissingExtra
+from ._tuning import BELL_REACH
 
 Length = Annotated[float, Field(ge=1e-3, le=1e6)]
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -34,7 +35,6 @@ PlaceInSpace = Annotated[tuple[Coordinate, Coordinate, Coordinate], Field(strict
 Size = Annotated[tuple[Length, Length], Field(strict=False)]
 """[height, width]"""
 
-_BELL_REACH = 5.0  # sigma, on each axis; the bell is below 4e-6 of its peak there and is cut off
 _MOST_PIXELS = 1024  # along each side of an image
 _PIXELS = Stored("numbers", ("rows", "columns"))
 
@@ -201,7 +201,7 @@ class Bump(_Product):
     sigma_mm: Length | None = None
 
     def reach(self, pitch_mm: float) -> tuple[float, float]:
-        return (_BELL_REACH * float(self.size(pitch_mm)),) * 2
+        return (BELL_REACH * float(self.size(pitch_mm)),) * 2
 
     def area_cells(self, pitch_mm: float) -> float:
         return 2.0 * pi * float(self.size(pitch_mm)) ** 2
@@ -211,7 +211,7 @@ class Bump(_Product):
         # Neighbouring cells share an edge: one more edge than cells.
         edges = np.concatenate([away - 0.5, away[:, -1:] + 0.5], axis=1) / (sigma * sqrt(2.0))
         mean = sigma * sqrt(pi / 2.0) * np.diff(erf(edges), axis=1)
-        return np.where(np.abs(away) <= _BELL_REACH * sigma + 0.5, mean, 0.0)
+        return np.where(np.abs(away) <= BELL_REACH * sigma + 0.5, mean, 0.0)
 
 
 class Disc(Shape):
