@@ -154,4 +154,5 @@ def _woken(board: Design, lasts: int) -> float:
 def _times(board: Design, frames: FloatArray) -> FloatArray:
     """Processor time in s of each frame of cells (frames, rows, columns) in ohm, packets to kPa with deviations."""
     packets = packets_of(board, frames)
-    return np.array([[sum(spent) for _, *spent in taken(packets, board, Cell.example())] for _ in range(2)]).min(axis=0)
+    twice = np.array([[sum(spent) for _, *spent in taken(packets, board, Cell.example())] for _ in range(2)])
+    return np.asarray(twice.min(axis=0))

@@ -206,11 +206,11 @@ def scan_population(
     else:
         again = np.ones(count, dtype=np.bool_)
     built: dict[bytes, Design] = {}
-    for number in np.flatnonzero(again):
+    for number in np.flatnonzero(again).tolist():
         alike = boards.values(number)
         if alike not in built:  # what follows from a board's parts alone is worked out once
             built = built if len(built) < MOST_BUILT else {}
-            built[alike] = boards.design(design, int(number))
+            built[alike] = boards.design(design, number)
         result = scan(built[alike], cells[0 if len(cells) == 1 else number], method="exact")
         volts[number] = np.where(wanted[number], result.volts, np.nan)
         saturated[number] = wanted[number] & result.saturated

@@ -22,25 +22,23 @@ from ._draft import Draft, decoded, draft
 from ._finding import Finding, State
 from ._guess import Chunk
 from ._text_guess import is_text
-from ._thresholds import FEWEST_FRAMES, SURE
+from ._tuning import (
+    ANSWERED_S,
+    ASKED,
+    ASKED_AGAIN,
+    FEWEST_FRAMES,
+    LEAST_ACCOUNTED,
+    LISTEN_S,
+    LONGEST_LISTENING_S,
+    MOST_IDLE,
+    PROGRESS_S,
+    QUIET_S,
+    STILL_ALIVE,
+    SURE,
+)
 
-LISTEN_S = 1.5
-"""how long to listen before the bytes are judged: the slowest family sends two frames in a second"""
-LONGEST_LISTENING_S = 6.0
-"""at one baud rate, if bytes come that are no frames yet: a board boots, or sends slowly"""
-ASKED = 5
-"""share of the time of listening that a board has to answer"""
-ASKED_AGAIN, ANSWERED_S = 15, 0.1
-"""times that a board which answers is asked again, and s without a byte after which an answer is over"""
-SHORT_LISTEN_S = 0.3
-"""at a further baud rate, if the port has been silent"""
-PROGRESS_S = 0.25
 COMMON_RATES = (115_200, 1_000_000, 250_000, 2_000_000, 500_000, 921_600, 9_600, 230_400, 57_600, 460_800, 38_400)
 """baud rates of boards, those of the families among them, in the order in which they are tried"""
-MOST_CORRUPT = 0.5
-"""share of the bytes that may be no part of a packet; a recording begins and ends within a packet"""
-QUIET_S = 0.7
-"""without a byte, from which on a board counts as silent: a boot message may have come before"""
 START_WORDS = (
     *(b"a", b"A", b"s", b"S", b"r", b"R", b"t", b"T", b"g", b"1", b"?", b" ", b"\r\n", b"start\n", b"START\r\n"),
     *(b"read\n", b"READ\r\n", b"get\n", b"GET\r\n", b"trigger\n", b"TRIGGER\r\n", b"stream\n", b"begin\n", b"go\n"),
@@ -51,10 +49,6 @@ MODBUS_FUNCTIONS = 4, 3
 """read input registers, read holding registers (Modbus application protocol V1.1b3, 6.3 and 6.4)"""
 MODBUS_REGISTERS = ((7, 32), (7, 36), (0, 16), (0, 32), (0, 64))
 """first and number of the registers that sensors of device 1 keep their cells in"""
-MOST_IDLE = 4
-"""different lines that a board repeats while it waits"""
-STILL_ALIVE = 0.5
-"""share of the time after which a board stops that hears nothing: so often the start is sent again"""
 SHOWN_BYTES = 16
 SHOWN_TEXT = 60
 
@@ -78,7 +72,7 @@ class Verdict:
     def convincing(self, received: int) -> bool:
         """Whether the bytes can hardly be anything else."""
         enough = self.frames >= FEWEST_FRAMES or self.identified
-        return enough and self.accounted(received) > 1.0 - MOST_CORRUPT
+        return enough and self.accounted(received) > LEAST_ACCOUNTED
 
 
 @dataclass(frozen=True)
@@ -139,7 +133,7 @@ def examine_traffic(
         try:
             chunks: list[Chunk] = []
             found = _listened(
-                port, line, setting, chunks, SHORT_LISTEN_S if silent else listen_s, tell, described=described
+                port, line, setting, chunks, LISTEN_S / ASKED if silent else listen_s, tell, described=described
             )
             idle = _idle_lines(chunks)
             if found is None and (idle or _is_quiet(line, chunks)):
