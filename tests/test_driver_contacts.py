@@ -464,19 +464,6 @@ def test_a_skin_tells_the_pitch_of_oblong_cells_and_has_no_single_one() -> None:
     assert (contact.x_mm, contact.y_mm) == pytest.approx((10.0, 20.0), abs=0.5)
 
 
-def test_ids_do_not_depend_on_the_order_in_which_frames_are_asked() -> None:
-    with lossless(Wire(big_scene()), queue=4) as skin:
-        kept = [(frame, frame.contacts) for frame in islice(skin, 150)]
-    assert all(frame.contacts is contacts for frame, contacts in kept), "however late"
-    one_by_one = [contacts for _, contacts in kept]
-    with lossless(Wire(big_scene())) as skin:
-        _ = next(skin).contacts  # from now on contacts are followed
-        frames = list(islice(skin, 149))
-        backwards = [frame.contacts for frame in reversed(frames)][::-1]
-    names = [[(c.id, c.x_mm) for c in contacts] for contacts in one_by_one[1:]]
-    assert names == [[(c.id, c.x_mm) for c in contacts] for contacts in backwards]
-
-
 def test_a_single_uncertain_cell_at_the_top_of_a_finger_does_not_join_it_to_its_neighbour() -> None:
     """The cells around the top tell of the valley, too."""
     pressure = bump((16, 16), 7.3, 5.4, 12.0, 0.9) + bump((16, 16), 7.3, 9.4, 9.0, 0.9)
