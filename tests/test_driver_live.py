@@ -604,24 +604,6 @@ def listed_ports(monkeypatch: pytest.MonkeyPatch) -> dict[str, str | None]:
 
 
 class TestPorts:
-    def test_more_than_1024_descriptors(self) -> None:
-        """select() cannot wait for a descriptor beyond 1023."""
-        resource = pytest.importorskip("resource")
-        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-        if hard != resource.RLIM_INFINITY and hard < 1300:
-            pytest.skip(f"this system allows {hard} descriptors")
-        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 1300), hard))
-        spare, port = [], PtyPort()
-        try:
-            with running(scene(), port):
-                spare = [os.open("/dev/null", os.O_RDONLY) for _ in range(1100)]
-                with Skin.open(port.name) as skin:
-                    assert next(skin).sequence is not None
-        finally:
-            for descriptor in spare:
-                os.close(descriptor)
-            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-
     def test_a_terminal_window_is_not_written_to(self) -> None:
         """A link that an emulator left behind may lead to what is now somebody's terminal."""
         window, terminal = pty.openpty()
