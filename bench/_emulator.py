@@ -17,7 +17,7 @@ import numpy as np
 
 from ..circuits import adc_codes, scan
 from ..common.arrays import FloatArray
-from ..emulator import Board, Sample, Scene, spread
+from ..emulator import Board, Sample, Scene, plan, spread
 from ..wire import FramePacket, board_protocol
 from ._driver import design
 from .harness import column
@@ -79,28 +79,20 @@ def _measured(scene: Scene) -> Row:
     adc = scene.skin.design.adc
     assert adc is not None  # a scene is refused without one
     full_volts, full_s = _full_physics(scene)
-    recorded: list[Sample] = []
-    board = Board(scene, record=recorded.append)
-    methods: list[str] = []
-    certified, spent_s = 0.0, 0.0
-    # Blocks are whole, so that each frame counts with its share of the block.
-    while spent_s < _BUDGET_S or board.skin.frames_ready or len(recorded) < len(full_volts):
-        start = process_time()
+    tried = plan(scene, budget_s=_BUDGET_S)
+    same: list[Sample] = []
+    board = Board(scene, record=same.append)
+    while len(same) < len(full_volts):
         board.tick()
-        spent_s += process_time() - start
-        block = board.skin.block
-        if block is not None and not board.skin.frames_ready:
-            methods += block.method
-            certified = max(certified, float(block.error_volts.max()))
-    pairs = zip(recorded, full_volts, strict=False)  # the full physics has fewer frames
+    pairs = zip(same, full_volts, strict=False)
     return Row(
         size=scene.skin.design.array.rows,
         contacts=len(scene.contact),
-        solved_percent=100.0 * sum(method == "exact" for method in methods) / len(methods),
-        frames_per_second=len(recorded) / spent_s,
+        solved_percent=100.0 * tried.methods.get("exact", 0) / tried.frames,
+        frames_per_second=tried.frames_per_second,
         full_frames_per_second=len(full_volts) / full_s,
         difference_steps=max(float(np.abs(ours.volts - full).max()) for ours, full in pairs) / adc.step,
-        certified_steps=certified / adc.step,
+        certified_steps=tried.error_steps,
     )
 
 

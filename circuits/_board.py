@@ -69,17 +69,17 @@ class Board(Parts):
         """
         array, drive, readout, faults = design.array, design.drive, design.readout, design.fault
         circuit = CIRCUITS[readout.circuit]
-        turned = circuit.senses == "rows"
+        transposed = circuit.senses == "rows"
         row_keys, column_keys = (array.row_lead, array.row_segment), (array.column_lead, array.column_segment)
-        driven, sensed = (column_keys, row_keys) if turned else (row_keys, column_keys)
-        rows, columns = array.shape[::-1] if turned else array.shape
+        driven, sensed = (column_keys, row_keys) if transposed else (row_keys, column_keys)
+        rows, columns = array.shape[::-1] if transposed else array.shape
 
         def each(value: PerLine, count: int) -> FloatArray:
             lines: FloatArray = np.full(count, value, dtype=np.float64)
-            return lines[::-1] if turned else lines
+            return lines[::-1] if transposed else lines
 
-        if turned:
-            faults = tuple(_turned_fault(fault, array.shape) for fault in faults)
+        if transposed:
+            faults = tuple(_transposed_fault(fault, array.shape) for fault in faults)
         severed = series_ohms(faults, "broken-column", (rows, columns))
         row_ohms = np.repeat(each(driven[1], rows)[:, None], columns, axis=1)
         row_lead = each(driven[0], rows)
@@ -101,7 +101,7 @@ class Board(Parts):
             drive=drive.voltage,
             level=readout.reference_voltage,
             supply=readout.supply,
-            turned=turned,
+            transposed=transposed,
             floating=drive.idle_rows != "ground" and not circuit.drives_idle_lines,
             pull=drive.idle_row_resistance,
             row_lead=row_lead,
@@ -302,7 +302,7 @@ _TURNED_KIND = {
 }
 
 
-def _turned_fault(fault: Fault, shape: tuple[int, int]) -> Fault:
+def _transposed_fault(fault: Fault, shape: tuple[int, int]) -> Fault:
     """The same fault in the line coordinates of a board that senses the array's rows."""
     rows, columns = shape
     (row, column), there = fault.ends if fault.bridge else (fault.place, fault.place)

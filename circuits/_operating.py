@@ -68,7 +68,7 @@ def operating_point(design: Design, resistance: ArrayLike) -> OperatingPoint:
     """
     board = design.board
     rows, columns = board.shape
-    cells = board.turn(design.resistance(resistance))
+    cells = board.transpose(design.resistance(resistance))
     solved = solve_fields(board, cells)
     fields = solved.fields
     of_row = fields.leaving_row.sum(axis=-1)  # (ports, N) A through the leads
@@ -85,19 +85,19 @@ def operating_point(design: Design, resistance: ArrayLike) -> OperatingPoint:
         lifted = np.abs(np.broadcast_to(lifted, (len(group.rows), len(group.columns), rows))).copy()
         lifted[np.arange(len(group.rows)), :, group.rows] = 0.0  # the selected line is driven
         leakage[np.ix_(group.rows, group.columns)] = lifted.sum(axis=-1)
-    turned = slice(None, None, -1 if board.turned else None)
+    backwards = slice(None, None, -1 if board.transposed else None)
     signal = solved.reading.volts - board.level
     across_reference = board.reference * output if board.circuit.virtual_ground else np.abs(signal).max(axis=0)
     return OperatingPoint(
-        reference_voltage=across_reference[turned],
-        reference_power=(across_reference**2 / board.reference)[turned],
-        cell_voltage=board.turn(voltage),
-        cell_power=board.turn(voltage**2 * fields.conductance),
-        driver_current=line_current[turned],
-        driver_power=(line_current**2 * board.row_lead)[turned],
-        output_current=output[turned],
-        leakage=board.turn(leakage),
-        signal=board.turn(signal),
+        reference_voltage=across_reference[backwards],
+        reference_power=(across_reference**2 / board.reference)[backwards],
+        cell_voltage=board.transpose(voltage),
+        cell_power=board.transpose(voltage**2 * fields.conductance),
+        driver_current=line_current[backwards],
+        driver_power=(line_current**2 * board.row_lead)[backwards],
+        output_current=output[backwards],
+        leakage=board.transpose(leakage),
+        signal=board.transpose(signal),
     )
 
 
@@ -169,14 +169,14 @@ class _Together:
     def of(cls, design: Design, boards: Boards, cells: FloatArray) -> tuple[OperatingPoint, BoolArray] | None:
         """All boards, and which of them were solved: neither at a limit of an output nor with contradicting parts."""
         board, count = design.board, len(cells)
-        ours = boards.turned if board.turned else boards
+        ours = boards.transposed if board.transposed else boards
         rows, columns = board.shape
         size = max(1, IN_CACHE // (rows * rows * columns))
         parts = []
         with np.errstate(all="ignore"):  # what comes of it is solved again
             for first in range(0, count, size):
                 some = slice(first, first + size)
-                conductance = np.maximum(1.0 / board.turn(cells[some]), _OPEN)
+                conductance = np.maximum(1.0 / board.transpose(cells[some]), _OPEN)
                 part = ours.part(some)
                 held, idle = row_ladders(design, part, conductance)
                 parts.append(cls(board, part, conductance, held, idle, part.read_ends(design))._point())
@@ -186,7 +186,7 @@ class _Together:
         solved: BoolArray = np.asarray(((volts >= low) & (volts <= high)).all(axis=(1, 2)))
         for name, value in joined.items():
             solved = solved & np.isfinite(value).all(axis=tuple(range(1, value.ndim)))
-            joined[name] = board.turn(value) if value.ndim == 3 else value[:, :: -1 if board.turned else 1]
+            joined[name] = board.transpose(value) if value.ndim == 3 else value[:, :: -1 if board.transposed else 1]
         return OperatingPoint(**joined), solved
 
     def _point(self) -> dict[str, FloatArray]:

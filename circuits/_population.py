@@ -32,6 +32,8 @@ from ._scan import scan
 from ._sections import PerLine
 from .readouts import EndParts, Ends, Terminated
 
+MOST_BUILT = 64
+"""boards that are kept while others are read one by one"""
 _OF_ROW, _OF_COLUMN = {"section": "array", "lines": "rows"}, {"section": "array", "lines": "columns"}
 _OF_READOUT, _SHARED = {"section": "readout", "lines": "sensed"}, {"section": "readout", "lines": "board"}
 """the section of DESIGN.toml that a part is in, and the lines that have one each"""
@@ -89,6 +91,11 @@ class Boards:
         """S, or 1 if all boards are alike."""
         return max(map(len, (*(getattr(self, name) for name in self.names()), *self.ends.values())))
 
+    def values(self, board: int) -> bytes:
+        """All values of one board: equal if, and only if, two boards are alike."""
+        parts = (*(getattr(self, name) for name in self.names()), *self.ends.values())
+        return np.concatenate([part[0 if len(part) == 1 else board] for part in parts]).tobytes()
+
     @property
     def at_ends(self) -> EndParts:
         """What is at the columns' ends, of boards in line coordinates."""
@@ -113,7 +120,7 @@ class Boards:
         return Boards(**{name: of(getattr(self, name)) for name in self.names()}, ends=ends)
 
     @property
-    def turned(self) -> Boards:
+    def transposed(self) -> Boards:
         """The same boards in line coordinates, of a circuit that drives columns."""
         other = {"row_lead": "column_lead", "row_segment": "column_segment"}
         other |= {theirs: ours for ours, theirs in other.items()}
@@ -178,17 +185,17 @@ def scan_population(
     board = design.board
     wanted = np.ones(volts.shape, dtype=np.bool_)
     if driven is not None:
-        lines = np.indices((rows, columns))[1 if board.turned else 0]
+        lines = np.indices((rows, columns))[1 if board.transposed else 0]
         wanted = lines == np.reshape(driven, (-1, 1, 1))
     if read_together(design):
         low, high = design.readout.supply
-        ours = boards.turned if board.turned else boards
-        places = None if driven is None else board.shape[0] - 1 - driven if board.turned else driven
+        ours = boards.transposed if board.transposed else boards
+        places = None if driven is None else board.shape[0] - 1 - driven if board.transposed else driven
         for some in _chunks(count, max(1, IN_CACHE // 8 // board.shape[1] ** 2)):
             line = None if places is None else places[some]
-            frames = board.turn(cells if len(cells) == 1 else cells[some])
+            frames = board.transpose(cells if len(cells) == 1 else cells[some])
             with np.errstate(all="ignore"):  # boards with a NaN are solved again below
-                volts[some] = board.turn(_read(design, ours.part(some), frames, line))
+                volts[some] = board.transpose(_read(design, ours.part(some), frames, line))
         if board.circuit.has_amplifiers:
             saturated = (volts < low) | (volts > high)
         again = (wanted & ~np.isfinite(volts)).any(axis=(1, 2))
@@ -198,8 +205,13 @@ def scan_population(
             np.clip(volts, low, high, out=volts)
     else:
         again = np.ones(count, dtype=np.bool_)
-    for number in np.flatnonzero(again):
-        result = scan(boards.design(design, int(number)), cells[0 if len(cells) == 1 else number], method="exact")
+    built: dict[bytes, Design] = {}
+    for number in np.flatnonzero(again).tolist():
+        alike = boards.values(number)
+        if alike not in built:  # what follows from a board's parts alone is worked out once
+            built = built if len(built) < MOST_BUILT else {}
+            built[alike] = boards.design(design, number)
+        result = scan(built[alike], cells[0 if len(cells) == 1 else number], method="exact")
         volts[number] = np.where(wanted[number], result.volts, np.nan)
         saturated[number] = wanted[number] & result.saturated
     return PopulationReading(volts, saturated)

@@ -24,8 +24,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
@@ -446,25 +445,6 @@ def load(*loops: Loop[..., Any]) -> bool:
     for each in loops or tuple(_offered):
         each.load()
     return why_not() is None
-
-
-@contextmanager
-def switched_off() -> Iterator[None]:
-    """Run all kernels as plain Python meanwhile: to compare, or to debug."""
-    before = os.environ.get(SWITCH)
-    code = [(each, each.code, each.unchecked) for each in _offered]
-    os.environ[SWITCH] = "off"
-    try:
-        for each in _offered:
-            each.code = each.unchecked = each.function
-        yield
-    finally:
-        for each, checked, unchecked in code:
-            each.code, each.unchecked = checked, unchecked
-        if before is None:
-            del os.environ[SWITCH]
-        else:
-            os.environ[SWITCH] = before
 
 
 def is_compiling() -> bool:

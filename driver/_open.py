@@ -355,5 +355,5 @@ def _together(values: Sequence[Any]) -> Any:
             return sum(values)
         case str():
             return "; ".join(filter(None, values))
-    told = [value for value in values if isinstance(value, str)]
-    return "; ".join(told) or None
+    texts = [value for value in values if isinstance(value, str)]
+    return "; ".join(texts) or None

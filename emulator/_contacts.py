@@ -59,7 +59,7 @@ class Contact(Load):
             if paths:
                 raise ValueError("'cells' stay where they are; a path needs one of the other shapes")
             return self
-        placed = self._shape.middle(1.0) is not None
+        placed = self._shape.center is not None or self._shape.center_mm is not None
         if placed and paths:
             raise ValueError("give the shape a center or the contact a path, not both")
         if not placed and not paths:
@@ -83,23 +83,15 @@ class Contact(Load):
         """Whether its place is one on a skin with places of its own, not one in the array."""
         return self.cells is None and geometry.pitch_m is None and self.path_cells is None and self._shape.is_in_mm
 
-    def _middles_mm(self, time_s: FloatArray) -> FloatArray:
-        """(frames, 2 or 3) where the middle of the shape is; (1, 2 or 3) if it rests."""
-        if self.path_mm is None:
-            return np.array([self._shape.center_mm])
-        points = np.asarray(self.path_mm, dtype=np.float64)
-        time = time_s if self.path_period is None else within_period(time_s, self.path_period)
-        return np.stack([np.interp(time, points[:, 0], along) for along in points[:, 1:].T], axis=1)
-
-    def middles(self, time_s: FloatArray, pitch_mm: float) -> FloatArray:
-        """(frames, 2) where the middle of the shape is at each of ``time_s``, in cells."""
-        path = self.path_cells if self.path_cells is not None else self.path_mm
-        if path is None:
-            return np.array([self._shape.middle(pitch_mm)])
+    def _middles(self, time_s: FloatArray, unit_mm: float) -> FloatArray:
+        """(frames, 2 or 3) where the middle of the shape is, or (1, 2 or 3) if it rests; mm are divided by a unit."""
+        path, shape = self.path_cells or self.path_mm, self._shape
+        unit = unit_mm if (self.path_mm if path else shape.center_mm) is not None else 1.0
+        if not path:
+            return np.array([shape.center or shape.center_mm]) / unit
         points = np.asarray(path, dtype=np.float64)
         time = time_s if self.path_period is None else within_period(time_s, self.path_period)
-        places = np.stack([np.interp(time, points[:, 0], points[:, axis]) for axis in (1, 2)], axis=1)
-        return places if self.path_cells is not None else places / pitch_mm
+        return np.stack([np.interp(time, points[:, 0], along) for along in points[:, 1:].T], axis=1) / unit
 
     def coverage(self, geometry: Geometry) -> FloatArray:
         """(rows, columns) pressure on each cell per unit of load, at the beginning of a path."""
@@ -127,33 +119,39 @@ class Contact(Load):
         if self.cells is not None:
             return float(geometry.areas_mm2[tuple(np.transpose(self.cells))].sum())
         pitch_mm = _pitch_mm(geometry)
-        return self._shape.area_cells(pitch_mm) * pitch_mm**2
+        return self._shape.area(pitch_mm) * pitch_mm**2
 
     def _cover(self, time_s: FloatArray, geometry: Geometry) -> tuple[IntArray, FloatArray]:
         """Cells (k,) and their shares (frames, k), or (1, k) if these do not change."""
-        shape, pitch_mm = geometry.shape, _pitch_mm(geometry)
+        count, pitch_mm = geometry.shape[1], _pitch_mm(geometry)
         if self._is_placed_in_mm(geometry):
             there = np.flatnonzero(geometry.exists)
             places = geometry.places_mm.reshape(-1, len(geometry.axes))[there]
             places[:, :2] = places[:, 1::-1]  # y before x, as in a scene
-            share = self._shape.cover_places(self._middles_mm(time_s), places, geometry.areas_mm2.ravel()[there])
-            return there, share
+            away = places - self._middles(time_s, 1.0)[:, None]
+            if len(geometry.axes) == 3:  # as far away as in space, along one axis
+                away = np.linalg.norm(away, axis=-1, keepdims=True) * [1.0, 0.0]
+            return there, self._shape.share(away[..., 0], away[..., 1], np.sqrt(geometry.areas_mm2.flat[there]), 1.0)
         if self.cells is not None:
             rows, columns = np.transpose(self.cells)
-            cells = np.unique(rows * shape[1] + columns)
+            cells = np.unique(rows * count + columns)
             return cells, np.ones((1, len(cells)))
-        middles = self.middles(time_s, pitch_mm)
-        (first_row, last_row), (first_column, last_column) = self._shape.window(middles, shape, pitch_mm)
-        rows, columns = np.arange(first_row, last_row), np.arange(first_column, last_column)
-        cells = (rows[:, None] * shape[1] + columns).ravel()
-        if not len(cells):
-            return cells, np.zeros((1, 0))
-        share = self._shape.cover(middles, rows.astype(float), columns.astype(float), pitch_mm)
-        return cells, share.reshape(len(middles), -1)
+        middles = self._middles(time_s, pitch_mm)
+        rows, columns = self._window(middles, geometry)
+        cells = (rows[:, None] * count + columns).ravel()
+        down, along = rows[:, None] - middles[:, 0, None, None], columns - middles[:, 1, None, None]
+        return cells, self._shape.share(down, along, 1.0, pitch_mm).reshape(len(middles), -1)
+
+    def _window(self, middles: FloatArray, geometry: Geometry) -> tuple[IntArray, IntArray]:
+        """Rows (r,) and columns (c,) of the array that the shape reaches at any time."""
+        reach = self._shape.reach(_pitch_mm(geometry)) + 0.5
+        first, last = np.ceil(middles.min(axis=0) - reach), np.floor(middles.max(axis=0) + reach) + 1.0
+        ends = np.clip([first, last], 0.0, geometry.shape).astype(np.intp)
+        return np.arange(*ends[:, 0]), np.arange(*ends[:, 1])
 
     def check(self, geometry: Geometry) -> None:
         """Raises InputError for cells beside the array, or a shape that nowhere on its path reaches the skin."""
-        shape, pitch_mm = geometry.shape, _pitch_mm(geometry)
+        shape = geometry.shape
         for row, column in self.cells or ():
             if row >= shape[0] or column >= shape[1]:
                 raise InputError(f"cells: [{row}, {column}] lies outside the {shape[0]} x {shape[1]} array")
@@ -167,8 +165,8 @@ class Contact(Load):
             return
         if any(len(place) > 2 for place in [self._shape.center_mm or (), *(point[1:] for point in self.path_mm or ())]):
             raise InputError("a place of three numbers on a flat skin; expected [down, along]")
-        middles = self.middles(times, pitch_mm)
-        if any(first >= last for first, last in self._shape.window(middles, shape, pitch_mm)):
+        middles = self._middles(times, _pitch_mm(geometry))
+        if not all(len(lines) for lines in self._window(middles, geometry)):
             row, column = middles[0]
             raise InputError(
                 f"its shape around row {row:.4g}, column {column:.4g} does not reach the {shape[0]} x {shape[1]} array"
@@ -183,7 +181,7 @@ class Contact(Load):
             raise InputError(f"{lengths}: places on a skin with a [shape] and sizes are both in mm, or both in cells")
         if not in_mm:
             return
-        middles, axes = self._middles_mm(times), len(geometry.axes)
+        middles, axes = self._middles(times, 1.0), len(geometry.axes)
         if middles.shape[1] != axes:
             raise InputError(
                 f"a place of {middles.shape[1]} numbers; expected {'[y, x, z]' if axes == 3 else '[y, x]'} in mm"

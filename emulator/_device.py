@@ -12,14 +12,9 @@ from ._board import Board
 from ._faults import Line, Schedule, may_lose
 from ._line import Transmission
 from ._scene import Scene
+from ._tuning import BAUD_TOLERANCE, PIECE
 from .firmware import FirmwareInService
 
-ANSWER_ROOM = 4096
-"""bytes of room in the transmit buffer with which commands are answered; with less their answers wait"""
-HANDSHAKE_BYTES = 4096
-"""of a USB converter: what is on its way when it stops the board still fits"""
-BAUD_TOLERANCE = 0.04
-"""relative error of the baud rate that a UART of 10 bits a byte stands: half a bit in ten, less its sampling error"""
 LONGEST_SPLIT = 7
 """bytes that a line with the fault split-bytes delivers at a time, at most"""
 
@@ -38,7 +33,7 @@ class Device:
         *,
         seed: int = 0,
         capacity: int | None = None,
-        handshake_bytes: float = HANDSHAKE_BYTES,
+        handshake_bytes: float = PIECE,
     ) -> None:
         """Switch the device on.
 
@@ -116,7 +111,7 @@ class Device:
     def receive(self, data: bytes, now_us: float) -> None:
         """Take bytes of the host and send the answers for which there is room."""
         self.board.receive(data)
-        if self.transmission.ready(now_us, ANSWER_ROOM):
+        if self.transmission.ready(now_us, PIECE):
             self._send(self.board.answers(), now_us)
 
     def advance(self, now_us: float) -> None:

@@ -236,7 +236,6 @@ def test_a_slow_reader_s_frames_are_young_and_all_accounted_for() -> None:
     assert row.unaccounted == 0
     assert row.skipped > 5 * 20  # 10 ms of work, a frame each ms: about ten come, one is taken
     assert 0 < row.median_age <= row.worst_age
-    assert row.taken_us > 0
 
 
 def test_a_frame_that_comes_while_others_are_decoded_is_the_newest() -> None:

@@ -134,7 +134,7 @@ def test_coverage_is_the_area_that_counting_finds(center: tuple[float, float], s
         Bump(center=center, sigma_cells=size),
     ):
         np.testing.assert_allclose(coverage(shape, (6, 7)), brute(shape, (6, 7)), atol=0.03)
-        assert coverage(shape, (60, 60)).sum() <= shape.area_cells(25.4) * (1 + 1e-9) + 1e-9
+        assert coverage(shape, (60, 60)).sum() <= shape.area(25.4) * (1 + 1e-9) + 1e-9
 
 
 def test_a_sliding_shape_is_at_each_time_the_shape_at_that_place() -> None:
@@ -176,7 +176,7 @@ def test_a_picture_presses_with_its_pixels(tmp_path: Path) -> None:
     expected[0:3, 2:5] = [[0.25, 0.25, 0], [0.5, 0.5, 0], [0.25, 0.375, 0.125]]
     expected[3:5, 2:5] = [[0, 0.25, 0.25], [0, 0.125, 0.125]]
     np.testing.assert_allclose(coverage(image, (6, 6)), expected, atol=1e-12)
-    assert image.area_cells(1.0) == pytest.approx(expected.sum())
+    assert image.area(1.0) == pytest.approx(expected.sum())
 
 
 def test_taps_and_sines_repeat_and_end() -> None:

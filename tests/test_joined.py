@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,9 @@ from ohmskin.cli import run
 from ohmskin.common.arrays import FloatArray
 from ohmskin.common.geometry import Geometry
 from ohmskin.driver import ContactTracker, Frame, JoinedSkin, Skin
+from ohmskin.driver._consumer import Consumer
 from ohmskin.driver._contacts import Touch
-from ohmskin.driver._joined import SILENT_S, Joiner, joined_geometry
+from ohmskin.driver._joined import SILENT_S, JoinedBoards, JoinedFrames, Joiner, joined_geometry
 from ohmskin.emulator import Board, PtyPort, Scene, load_scenes, running
 from ohmskin.errors import InputError, LinkEnded, LinkError
 from ohmskin.wire import Order, host_protocol
@@ -121,6 +123,26 @@ def test_every_frame_of_a_board_is_in_one_joined_frame_and_none_waits_for_a_sile
                     assert (joined.reason[own] == Reason.MISSING).all()
     for k in range(3):
         assert seen[k] in (given_kpa[k], given_kpa[k][:-1])
+
+
+EVENTS = ("overrun", "reconnected", "rebooted", "estimator_restarted")
+
+
+@given(st.sets(st.tuples(st.integers(0, 2), st.sampled_from(EVENTS))))
+def test_what_happened_to_one_board_happened_to_the_joined_skin(happened: set[tuple[int, str]]) -> None:
+    board = Geometry.rectangle((1, 1), 0.01)
+    joiner, plain = Joiner([board] * 3, Touch(20.0)), frame_at(0.0, board)
+    frames = JoinedFrames(joiner, [], "every", 10)
+    reader = Consumer(JoinedBoards([], frames, joiner), after=0)
+    for k in (0, 1, 2, 0):  # from then on a joined frame has one of each
+        frames.arrive(k, plain)
+    assert reader.next_frames(10, 0.0)
+    for k in range(3):
+        told: dict[str, Any] = {name: (k, name) in happened for name in EVENTS}
+        frames.arrive(k, replace(plain, lost_before=k, **told))
+    (joined,) = reader.next_frames(10, 0.0)
+    assert {name for name in EVENTS if getattr(joined, name)} == {name for _, name in happened}
+    assert joined.lost_before == 3
 
 
 def test_boards_without_places_stand_apart_and_boards_at_one_place_are_refused() -> None:

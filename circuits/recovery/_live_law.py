@@ -48,7 +48,7 @@ class LawLive:
         """For a board with a converter, whose cells have at least so many ohm, shorts apart."""
         board, (to_driver, to_end, column_lead) = known.board, known.wires
         self._board, self._sheet = known.sliced, known.whole if board.continuous else None
-        self._rule, self._turn, self._shape = rule, board.turn, board.shape
+        self._rule, self._turn, self._shape = rule, board.transpose, board.shape
         wire = column_lead + to_end.mean(axis=0)
         law = board.circuit.port_law(known.sliced, wire)
         assert law is not None
@@ -116,7 +116,7 @@ class LawLive:
             random=random,
             shared=self._half_step - random,
             alike=1.0 if board.circuit.has_amplifiers else ALIKE,
-            scales_columns=not (board.circuit.has_amplifiers or board.turned),
+            scales_columns=not (board.circuit.has_amplifiers or board.transposed),
             mixes=law.has_potential,
             has_leads=law.has_leads,
             factors=not exact,
@@ -147,7 +147,7 @@ class LawLive:
 
     def _in_lines(self, frame: Readings) -> Readings:
         """The frame in line coordinates; readings at a limit of complete shorts say nothing."""
-        if not self._board.turned and frame.limited is None and frame.under_range is None:
+        if not self._board.transposed and frame.limited is None and frame.under_range is None:
             return frame
         frame = frame.in_lines(self._turn)
         if self._shorted.any():
@@ -242,6 +242,6 @@ class LawLive:
         for cells, why in (frame.limited, SATURATED), (frame.under_range, NO_CURRENT):
             if cells is not None:
                 reason[cells & (reason == DISTURBED)] = why
-        nothing = Measurement.unknown(self._no_reading.T.shape if self._board.turned else self._shape)
+        nothing = Measurement.unknown(self._no_reading.T.shape if self._board.transposed else self._shape)
         nothing.reason[...] = self._turn(reason)
         return nothing

@@ -265,7 +265,7 @@ class ColumnNetworks(NamedTuple):
         if together is not None and all(np.isfinite(part).all() for part in together):
             found = cls(*together)
         else:
-            ours = boards.turned if design.board.turned else boards
+            ours = boards.transposed if design.board.transposed else boards
             each = [_network(ours.design(design, b).board, frame) for b, frame in enumerate(cells)]
             found = cls(*(np.stack(parts) for parts in zip(*each, strict=True)))
         every = np.arange(found.conductance.shape[-1])

@@ -111,7 +111,7 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
             raise InputError(str(error)) from error
     if board.circuit.has_amplifiers and not board.circuit.virtual_ground:
         require_amplifiers(board)
-    cells = board.turn(design.resistance(resistance))
+    cells = board.transpose(design.resistance(resistance))
     part, adc = design.readout, design.adc
     parts: dict[str, FloatArray] = {}
     thermal_energy = BOLTZMANN * part.temperature  # k T, in J
@@ -126,7 +126,7 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
         parts["sampling"] = np.full(board.shape, np.sqrt(thermal_energy / adc.sampling_capacitance))
     if adc:
         parts["quantisation"] = np.full(board.shape, adc.step / np.sqrt(12))
-    return Noise({name: board.turn(part) for name, part in parts.items()}, design.array.shape)
+    return Noise({name: board.transpose(part) for name, part in parts.items()}, design.array.shape)
 
 
 def _amplifier_noise(design: Design, cells: FloatArray, thermal_energy: float) -> dict[str, FloatArray]:
@@ -139,7 +139,7 @@ def _amplifier_noise(design: Design, cells: FloatArray, thermal_energy: float) -
     every = np.arange(columns)
     readings = every[:, None] if board.multiplexed else every[None]
     boards = Boards.of(design)
-    ours = boards.turned if board.turned else boards
+    ours = boards.transposed if board.transposed else boards
     parts: dict[str, FloatArray] = {}
     networks = ColumnNetworks.of(design, ours, cells[None]).conductance
     for group in range(networks.shape[1]):

@@ -112,7 +112,9 @@ class RepeatedScan:
         self._groups = [self._phases(boards, networks.conductance[:, g]) for g in range(networks.conductance.shape[1])]
         """phases of each row's step, or those that all rows share"""
         rows = range(board.shape[0])
-        self._order = list(reversed(rows)) if board.turned else list(rows)  # a scan goes by the array's line numbers
+        self._order = (
+            list(reversed(rows)) if board.transposed else list(rows)
+        )  # a scan goes by the array's line numbers
         current = networks.current.swapaxes(1, 2)
         shared = len(self._groups) == 1
         of_group = [current if shared else current[..., [row]] for row in range(len(self._groups))]
@@ -230,7 +232,7 @@ class RepeatedScan:
         none = every[:0]
         if not self._one_by_one:
             yield SwitchState(every, None, none if self._acquisition else every)
-        turn = every[::-1] if self._board.turned else every
+        turn = every[::-1] if self._board.transposed else every
         for column in turn.tolist() if self._one_by_one or self._acquisition else ():
             only = every[[column]]
             loaded = only if self._one_by_one else every

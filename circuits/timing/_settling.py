@@ -47,10 +47,10 @@ class BoardsInTime:
         self._board = board = design.board
         if board.circuit.has_amplifiers and not board.circuit.virtual_ground:
             require_amplifiers(board)
-        self._scan = RepeatedScan(design, boards.turned if board.turned else boards, board.turn(cells))
+        self._scan = RepeatedScan(design, boards.transposed if board.transposed else boards, board.transpose(cells))
         self.briefest = self._scan.briefest
         """shortest row period in s: the acquisitions of all columns, if one sampling capacitor serves them"""
-        self.settled: FloatArray = board.turn(self._scan.settled) + boards.reference_voltage[..., None]
+        self.settled: FloatArray = board.transpose(self._scan.settled) + boards.reference_voltage[..., None]
         """(B, rows, columns) V after a long time, without supply limits"""
 
     @property
@@ -70,7 +70,7 @@ class BoardsInTime:
             raise InputError(
                 f"row period {least} s: expected a time above 0, and adc.acquisition_time for each column at least"
             )
-        return Deviations(*map(self._board.turn, self._scan.deviations(period)))
+        return Deviations(*map(self._board.transpose, self._scan.deviations(period)))
 
     def shortest_period(self, allowed: FloatArray) -> FloatArray:
         """Shortest row period (B,) in s such that no deviation exceeds ``allowed`` V (B,), nor at any longer period.
@@ -331,7 +331,7 @@ def _each_cell(design: Design, values: FloatArray, count: int) -> FloatArray:
     """(B, rows, columns) of values of the columns of each grid."""
     board = design.board
     grids = values.reshape(count, -1, values.shape[-1])
-    return board.turn(np.broadcast_to(grids, (count, *board.shape)))
+    return board.transpose(np.broadcast_to(grids, (count, *board.shape)))
 
 
 class _Loops(NamedTuple):
@@ -354,10 +354,10 @@ class _Loops(NamedTuple):
     def of(cls, design: Design, boards: Boards, cells: FloatArray) -> _Loops:
         board = design.board
         require_amplifiers(board)
-        ours = boards.turned if board.turned else boards
+        ours = boards.transposed if board.transposed else boards
         if np.isinf(ours.gain_bandwidth).any():
             raise InputError("readout.gain_bandwidth is infinite: an amplifier without a pole has no phase margin")
-        network = ColumnNetworks.of(design, ours, board.turn(cells)).conductance
+        network = ColumnNetworks.of(design, ours, board.transpose(cells)).conductance
         parts = 1 / ours.reference_resistance, 1 / ours.open_loop_gain, 2 * pi * ours.gain_bandwidth
         count, grids, columns = network.shape[:3]
         each = [

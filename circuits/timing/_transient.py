@@ -65,9 +65,9 @@ class Transient:
         self._board = board = design.board
         taps = range(board.shape[1], 2 * board.shape[1]) if sampler_delay(board) else ()
         boards = Boards.of(design)
-        ours = boards.turned if board.turned else boards
+        ours = boards.transposed if board.transposed else boards
         every = np.arange(board.shape[1])
-        networks = ColumnNetworks.of(design, ours, board.turn(design.resistance(resistance))[None]).conductance
+        networks = ColumnNetworks.of(design, ours, board.transpose(design.resistance(resistance))[None]).conductance
         known = [Circuit.of(ours, board, networks[:, group], every, list(taps)) for group in range(networks.shape[1])]
         self._circuits = known if len(known) > 1 else known * board.shape[0]
 
