@@ -100,7 +100,7 @@ def test_a_finger_has_the_velocity_of_the_line_through_its_places(frames: int, s
         x_mm.append(contact.x_mm)
     before_s = step_s * np.arange(1 - frames, 1)
     slope, _ = np.polyfit(before_s, x_mm, 1, w=np.exp(before_s / MEMORY_S / 2))
-    assert one._tracks["mm_per_s"][0, 0] == pytest.approx(slope, rel=1e-3)
+    assert one._memory.tracks["mm_per_s"][0, 0] == pytest.approx(slope, rel=1e-3)
 
 
 @given(st.integers(0, 2**32), st.integers(1, 6))
