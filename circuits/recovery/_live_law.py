@@ -17,7 +17,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.arrays import FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ...common.measurement import Measurement
 from ...errors import SolverError
 from .._adc import adc_error
