@@ -125,13 +125,12 @@ class Contact(Load):
         """Cells (k,) and their shares (frames, k), or (1, k) if these do not change."""
         count, pitch_mm = geometry.shape[1], _pitch_mm(geometry)
         if self._is_placed_in_mm(geometry):
-            there = np.flatnonzero(geometry.exists)
-            places = geometry.places_mm.reshape(-1, len(geometry.axes))[there]
-            places[:, :2] = places[:, 1::-1]  # y before x, as in a scene
-            away = places - self._middles(time_s, 1.0)[:, None]
+            middles = self._middles(time_s, 1.0)
+            cells, places, sides = self._near(middles, geometry)
+            away = places - middles[:, None]
             if len(geometry.axes) == 3:  # as far away as in space, along one axis
                 away = np.linalg.norm(away, axis=-1, keepdims=True) * [1.0, 0.0]
-            return there, self._shape.share(away[..., 0], away[..., 1], np.sqrt(geometry.areas_mm2.flat[there]), 1.0)
+            return cells, self._shape.share(away[..., 0], away[..., 1], sides, 1.0)
         if self.cells is not None:
             rows, columns = np.transpose(self.cells)
             cells = np.unique(rows * count + columns)
@@ -144,10 +143,19 @@ class Contact(Load):
 
     def _window(self, middles: FloatArray, geometry: Geometry) -> tuple[IntArray, IntArray]:
         """Rows (r,) and columns (c,) of the array that the shape reaches at any time."""
-        reach = self._shape.reach(_pitch_mm(geometry)) + 0.5
+        reach = self._shape.reach(_pitch_mm(geometry)) + self._shape.MARGIN
         first, last = np.ceil(middles.min(axis=0) - reach), np.floor(middles.max(axis=0) + reach) + 1.0
         ends = np.clip([first, last], 0.0, geometry.shape).astype(np.intp)
         return np.arange(*ends[:, 0]), np.arange(*ends[:, 1])
+
+    def _near(self, middles_mm: FloatArray, geometry: Geometry) -> tuple[IntArray, FloatArray, FloatArray]:
+        """On a skin with places of its own, the cells (k,) that the shape comes near, their places and their sides."""
+        there, axes = np.flatnonzero(geometry.exists), len(geometry.axes)
+        places = geometry.places_mm.reshape(-1, axes)[there][:, [1, 0, 2][:axes]]  # y before x, as in a scene
+        sides = np.sqrt(geometry.areas_mm2.flat[there])
+        reach = self._shape.reach(1.0)[[0, 1, 0][:axes]] + self._shape.MARGIN * sides[:, None]
+        near = ((places >= middles_mm.min(axis=0) - reach) & (places <= middles_mm.max(axis=0) + reach)).all(axis=1)
+        return there[near], places[near], sides[near]
 
     def check(self, geometry: Geometry) -> None:
         """Raises InputError for cells beside the array, or a shape that nowhere on its path reaches the skin."""
@@ -157,39 +165,27 @@ class Contact(Load):
                 raise InputError(f"cells: [{row}, {column}] lies outside the {shape[0]} x {shape[1]} array")
         if self.cells is not None:
             return
+        in_mm = self._is_placed_in_mm(geometry)
+        if geometry.pitch_m is None and not in_mm and (self.path_cells is None or self._shape.center_mm is not None):
+            lengths = "path_mm" if self.path_cells is None else "path_cells"
+            raise InputError(f"{lengths}: places on a skin with a [shape] and sizes are both in mm, or both in cells")
+        axes = ("y", "x", "z")[: len(geometry.axes)] if in_mm else ("down", "along")
         path = self.path_cells or self.path_mm
         times = np.array([time for time, *_ in path] if path else [0.0])
+        middles = self._middles(times, 1.0 if in_mm else _pitch_mm(geometry))
+        if middles.shape[1] != len(axes):
+            raise InputError(f"a place of {middles.shape[1]} numbers; expected [{', '.join(axes)}]")
+        if len(axes) == 3 and not self._shape.ROUND:
+            raise InputError("a rectangle or an image on a skin in space; expected a point, a disc, a bump, or cells")
         never = ", nor does its path" if path else ""
-        if geometry.pitch_m is None:
-            self._check_places(times, geometry, never)
-            return
-        if any(len(place) > 2 for place in [self._shape.center_mm or (), *(point[1:] for point in self.path_mm or ())]):
-            raise InputError("a place of three numbers on a flat skin; expected [down, along]")
-        middles = self._middles(times, _pitch_mm(geometry))
-        if not all(len(lines) for lines in self._window(middles, geometry)):
+        if in_mm and not len(self._near(middles, geometry)[0]):
+            raise InputError(f"its shape around {middles[0].tolist()} mm does not reach a cell{never}")
+        if not in_mm and not all(len(lines) for lines in self._window(middles, geometry)):
             row, column = middles[0]
             raise InputError(
                 f"its shape around row {row:.4g}, column {column:.4g} does not reach the {shape[0]} x {shape[1]} array"
                 f"{never}; rows and columns count from 0, and mm from the middle of cell [0, 0]"
             )
-
-    def _check_places(self, times: FloatArray, geometry: Geometry, never: str) -> None:
-        """The same on a skin with places of its own."""
-        in_mm = self._is_placed_in_mm(geometry)
-        lengths = "path_mm" if self.path_cells is None else "path_cells"
-        if not in_mm and (self.path_mm is not None or self._shape.center_mm is not None or self.path_cells is None):
-            raise InputError(f"{lengths}: places on a skin with a [shape] and sizes are both in mm, or both in cells")
-        if not in_mm:
-            return
-        middles, axes = self._middles(times, 1.0), len(geometry.axes)
-        if middles.shape[1] != axes:
-            raise InputError(
-                f"a place of {middles.shape[1]} numbers; expected {'[y, x, z]' if axes == 3 else '[y, x]'} in mm"
-            )
-        if axes == 3 and not self._shape.ROUND:
-            raise InputError("a rectangle or an image on a skin in space; expected a point, a disc, a bump, or cells")
-        if not (self._cover(times, geometry)[1] > 0).any():
-            raise InputError(f"its shape around {middles[0].tolist()} mm does not reach a cell{never}")
 
 
 def _pitch_mm(geometry: Geometry) -> float:

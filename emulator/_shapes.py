@@ -57,6 +57,8 @@ class Shape(Section):
     """name of the length that is given in cells or in mm, without the unit; empty: the shape has none"""
     ROUND: ClassVar[bool] = False
     """the same from all sides, so that it can press on a skin in space"""
+    MARGIN: ClassVar[float] = 0.5
+    """sides of a cell from its middle to the end of the shape's reach, up to which the shape may cover it"""
 
     @model_validator(mode="after")
     def _one_unit(self) -> Self:
@@ -103,9 +105,10 @@ class Point(Shape):
     """A load on one point, as a load on one cell that the nearest four cells share while the point moves over them."""
 
     ROUND: ClassVar[bool] = True
+    MARGIN: ClassVar[float] = 1.0
 
     def reach(self, unit_mm: float) -> FloatArray:
-        return np.array([0.5, 0.5])
+        return np.zeros(2)
 
     def area(self, unit_mm: float) -> float:
         return 1.0

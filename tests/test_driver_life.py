@@ -30,6 +30,7 @@ from boards import EXAMPLES, Flow, Script, Wire, described, frame, gone, identit
 
 from ohmskin.circuits import Design
 from ohmskin.driver import Frame, LinkStatistics, Recorder, Skin, discover, open_port
+from ohmskin.driver._port_names import why_not_opened
 from ohmskin.emulator import Board, PtyPort, Rfc2217Port, TcpPort, running
 from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ohmskin.wire import (
@@ -433,6 +434,26 @@ class TestPorts:
             Skin(port, timeout=0.3)
         assert looks in str(caught.value)
         assert f"`ohmskin doctor {port.name}`" in str(caught.value)
+
+    @pytest.mark.parametrize(
+        ("mode", "mine", "said"),
+        [
+            (0o660, False, "belongs to group '{}', which this user is not in; `ohmskin doctor {}` says"),
+            (0o640, False, "belongs to group '{}', and its mode -rw-r----- keeps this user out; `ohmskin doctor {}`"),
+            (0o660, True, "belongs to group '{}', and its mode -rw-rw---- keeps this user out; `ohmskin doctor {}`"),
+        ],
+    )
+    def test_a_forbidden_port_is_told_with_its_group_or_its_mode(
+        self, mode: int, mine: bool, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        port = tmp_path / "ttyUSB0"
+        port.touch(mode)
+        port.chmod(mode)
+        group = port.stat().st_gid
+        monkeypatch.setattr(os, "getegid", lambda: group if mine else group + 1)
+        monkeypatch.setattr(os, "getgroups", list)
+        told = why_not_opened(str(port), PermissionError(errno.EACCES, "Permission denied"))
+        assert said.format(port.group(), port) in told
 
     def test_too_many_open_files_are_one_message_and_leave_nothing_open(self, monkeypatch: pytest.MonkeyPatch) -> None:
         def fail() -> None:

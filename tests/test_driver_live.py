@@ -16,12 +16,10 @@ import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import serial
 from boards import DESIGN, WHAT, Flow, Script, described, frame, gone, identity, lossless, scene, sheet, until
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -561,34 +559,6 @@ class TestReconnection:
         with skin, running(scene(), other):
             names[other.name] = "USB-1"
             assert next(frame for frame in skin if frame.reconnected).rebooted
-
-    def test_a_board_without_a_usb_number_is_found_under_another_name(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """Many converters have no serial number; the board's own tells which of the ports that appear is its."""
-        opened, open_port = list[str](), serial.serial_for_url
-
-        def note(name: str, *given: Any, **options: Any) -> serial.SerialBase:
-            opened.append(name)
-            return open_port(name, *given, **options)
-
-        another = scene(board={"serial_number": "B2", "frame_rate": 500.0})
-        unplugged = {"kind": "unplug", "at_s": 3.0, "duration_s": 0.5, "name": "skin-9"}
-        moves = scene(board={"serial_number": "A1", "frame_rate": 500.0}, link_fault=[unplugged])
-        with (
-            running(scene(board={"serial_number": "C3"}), PtyPort(tmp_path / "there-all-the-time")),
-            running(moves, PtyPort(tmp_path / "skin")),
-            Skin.open(str(tmp_path / "skin"), reconnect=60.0, timeout=30.0) as skin,
-        ):
-            monkeypatch.setattr(serial, "serial_for_url", note)
-            next(skin)
-            until(lambda: skin.away is not None)
-            with running(another, PtyPort(tmp_path / "skin-1")):
-                back = next(frame for frame in skin if frame.reconnected)
-                assert back.rebooted
-                assert skin.serial_number == "A1"
-        assert str(tmp_path / "skin-9") in opened
-        assert str(tmp_path / "there-all-the-time") not in opened
 
 
 def listed_ports(monkeypatch: pytest.MonkeyPatch) -> dict[str, str | None]:
