@@ -42,7 +42,7 @@ class Hold:
         self.began_s = began_s
         self.highest_kpa = 0.0
         """largest mean load on the target so far"""
-        self.told = False
+        self.reported = False
         """whether the press has lasted longer than a touch, and has been reported"""
         self.long_enough = False
         """whether the load may be taken off"""

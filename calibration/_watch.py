@@ -197,12 +197,12 @@ class Watch:
         hold.highest_kpa = max(hold.highest_kpa, total_kpa)
         lasts_s = time_s - hold.began_s
         if total_kpa < END * hold.highest_kpa:
-            if not hold.told:
+            if not hold.reported:
                 self._hold = None
                 return []
             return [self._finish(hold, target)]
-        if not hold.told and lasts_s >= TOUCH * self.hold_s:
-            hold.told = True
+        if not hold.reported and lasts_s >= TOUCH * self.hold_s:
+            hold.reported = True
             return [PressBegan(target)]
         if not hold.long_enough and lasts_s >= self.hold_s:
             hold.long_enough = True

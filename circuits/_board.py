@@ -89,14 +89,14 @@ class Board(Parts):
         """
         array, drive, readout, faults = design.array, design.drive, design.readout, design.fault
         circuit = CIRCUITS[readout.circuit]
-        turned = circuit.senses == "rows"
-        driven, sensed = ("column", "row") if turned else ("row", "column")
-        rows, columns = array.shape[::-1] if turned else array.shape
+        transposed = circuit.senses == "rows"
+        driven, sensed = ("column", "row") if transposed else ("row", "column")
+        rows, columns = array.shape[::-1] if transposed else array.shape
 
         def each(section: Section, key: str, count: int) -> FloatArray:
             given = np.asarray(getattr(section, key) if values is None else values[key], dtype=np.float64)
             lines = np.broadcast_to(given, (*given.shape[:-1], count))
-            return np.array(lines[..., ::-1] if turned else lines)
+            return np.array(lines[..., ::-1] if transposed else lines)
 
         def across(section: Section, key: str) -> FloatArray:
             ends = each(section, key, columns)
@@ -105,8 +105,8 @@ class Board(Parts):
         def single(section: Section, key: str) -> Any:
             return getattr(section, key) if values is None else values[key][..., None]
 
-        if turned:
-            faults = tuple(_turned_fault(fault, array.shape) for fault in faults)
+        if transposed:
+            faults = tuple(_transposed_fault(fault, array.shape) for fault in faults)
         severed = series_ohms(faults, "broken-column", (rows, columns))
         row_ohms = np.repeat(each(array, f"{driven}_segment", rows)[..., None], columns, axis=-1)
         row_lead = each(array, f"{driven}_lead", rows)
@@ -128,7 +128,7 @@ class Board(Parts):
             drive=single(drive, "voltage"),
             level=single(readout, "reference_voltage"),
             supply=readout.supply,
-            turned=turned,
+            transposed=transposed,
             floating=drive.idle_rows != "ground" and not circuit.drives_idle_lines,
             pull=drive.idle_row_resistance,
             row_lead=row_lead,
@@ -324,7 +324,7 @@ _TURNED_KIND = {
 }
 
 
-def _turned_fault(fault: Fault, shape: tuple[int, int]) -> Fault:
+def _transposed_fault(fault: Fault, shape: tuple[int, int]) -> Fault:
     """The same fault in the line coordinates of a board that senses the array's rows."""
     rows, columns = shape
     (row, column), there = fault.ends if fault.bridge else (fault.place, fault.place)

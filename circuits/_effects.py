@@ -68,7 +68,7 @@ def effects(design: Design, resistance: ArrayLike) -> tuple[Effect, ...]:
 
     """
     board = design.board
-    return tuple(_effects(design, board.turn(design.resistance(resistance))))
+    return tuple(_effects(design, board.transpose(design.resistance(resistance))))
 
 
 def _effects(design: Design, cells: FloatArray) -> Iterator[Effect]:
@@ -127,12 +127,12 @@ def _dynamic_effects(design: Design, cells: FloatArray) -> Iterator[Effect]:
     product = part.gain_bandwidth if fast else ORDINARY["gain_bandwidth"]
     density = part.voltage_noise or ORDINARY["voltage_noise"]
     real = design.replace(readout={"gain_bandwidth": product, "voltage_noise": density}, adc=None)
-    only = board.turn(np.where(live, cells, inf))
-    signal = np.abs(board.circuit.ideal_volts(board, board.turn(only)) - board.level)
-    by_voltage = board.turn(noise(real, only).parts["amplifier voltage"])
+    only = board.transpose(np.where(live, cells, inf))
+    signal = np.abs(board.circuit.ideal_volts(board, board.transpose(only)) - board.level)
+    by_voltage = board.transpose(noise(real, only).parts["amplifier voltage"])
     basis = "amplifier voltage, by noise(); " + _basis("voltage_noise", density, named=noisy)
     yield Effect("noise", False, _largest_relative(by_voltage, signal, live), basis)
-    left = board.turn(BoardsInTime(real, Boards.of(real), only[None]).deviations(ORDINARY["period"]).from_rest[0])
+    left = board.transpose(BoardsInTime(real, Boards.of(real), only[None]).deviations(ORDINARY["period"]).from_rest[0])
     basis = f"{ORDINARY['period']} s per row, by Settling; " + _basis("gain_bandwidth", product, named=fast)
     yield Effect("settling", False, _largest_relative(np.abs(left), signal, live), basis)
 

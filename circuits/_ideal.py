@@ -16,8 +16,8 @@ def apparent_resistance(design: Design, volts: ArrayLike) -> FloatArray:
     follows from the reading alone, without limits of what a cell can be.
     """
     board = design.board
-    ohms = board.circuit.apparent_resistance(board, board.turn(np.asarray(volts, dtype=np.float64)))
-    return board.turn(np.where(np.isinf(ohms), np.inf, ohms))
+    ohms = board.circuit.apparent_resistance(board, board.transpose(np.asarray(volts, dtype=np.float64)))
+    return board.transpose(np.where(np.isinf(ohms), np.inf, ohms))
 
 
 def ideal_volts(design: Design, resistance: ArrayLike) -> FloatArray:
@@ -26,4 +26,4 @@ def ideal_volts(design: Design, resistance: ArrayLike) -> FloatArray:
     Shorts give an infinite amplifier output.
     """
     board = design.board
-    return board.turn(board.circuit.ideal_volts(board, board.turn(np.asarray(resistance, dtype=np.float64))))
+    return board.transpose(board.circuit.ideal_volts(board, board.transpose(np.asarray(resistance, dtype=np.float64))))

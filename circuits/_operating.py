@@ -60,7 +60,7 @@ def operating_point(design: Design, resistance: ArrayLike) -> OperatingPoint:
 
     """
     board = design.board
-    return _point(board, board.turn(design.resistance(resistance)))
+    return _point(board, board.transpose(design.resistance(resistance)))
 
 
 def _point(board: Board, cells: FloatArray) -> OperatingPoint:
@@ -84,20 +84,20 @@ def _point(board: Board, cells: FloatArray) -> OperatingPoint:
         lifted = np.abs(np.broadcast_to(lifted, (*batch, len(group.rows), len(group.columns), rows))).copy()
         lifted[..., np.arange(len(group.rows)), :, group.rows] = 0.0  # the selected line is driven
         leakage[..., group.rows[:, None], group.columns] = lifted.sum(axis=-1)
-    turned = slice(None, None, -1 if board.turned else None)
+    backwards = slice(None, None, -1 if board.transposed else None)
     signal = solved.reading.volts - board.level
     reference = of_columns(board.reference)
     across_reference = reference * output if board.circuit.virtual_ground else np.abs(signal).max(axis=-2)
     return OperatingPoint(
-        reference_voltage=across_reference[..., turned],
-        reference_power=(across_reference**2 / reference)[..., turned],
-        cell_voltage=board.turn(voltage),
-        cell_power=board.turn(voltage**2 * fields.conductance),
-        driver_current=line_current[..., turned],
-        driver_power=(line_current**2 * board.row_lead)[..., turned],
-        output_current=output[..., turned],
-        leakage=board.turn(leakage),
-        signal=board.turn(signal),
+        reference_voltage=across_reference[..., backwards],
+        reference_power=(across_reference**2 / reference)[..., backwards],
+        cell_voltage=board.transpose(voltage),
+        cell_power=board.transpose(voltage**2 * fields.conductance),
+        driver_current=line_current[..., backwards],
+        driver_power=(line_current**2 * board.row_lead)[..., backwards],
+        output_current=output[..., backwards],
+        leakage=board.transpose(leakage),
+        signal=board.transpose(signal),
     )
 
 
@@ -125,7 +125,7 @@ def operating_points(design: Design, boards: Boards, cells: FloatArray) -> Opera
             some = slice(first, first + size)
             with suppress(SolverError):
                 limited = scan_population(design, boards.part(some), cells[some]).saturated
-                point = _point(boards.part(some).board(design), board.turn(cells[some]))
+                point = _point(boards.part(some).board(design), board.transpose(cells[some]))
                 for name, values in found.items():
                     values[some] = getattr(point, name)
                 alone[some] = limited.any(axis=(1, 2)) | ~np.isfinite(point.leakage).all(axis=(1, 2))

@@ -3,9 +3,9 @@
 Line coordinates
 ----------------
 Inside a board the *rows* are the lines that are driven, and the *columns* are the lines that are sensed. For most
-circuits these are the array's own rows and columns. A circuit that drives columns and senses rows has its array turned:
-:meth:`Parts.turn` converts arrays of the array's shape to line coordinates and back. In line coordinates row i is
-always driven ahead of column 0, and column j is always sensed behind row N - 1.
+circuits these are the array's own rows and columns. The array of a circuit that drives columns and senses rows is
+transposed about its other diagonal: :meth:`Parts.transpose` converts arrays of the array's shape to line coordinates
+and back. In line coordinates row i is always driven ahead of column 0, and column j is always sensed behind row N - 1.
 
 Readout circuits take :class:`Parts`. All other code takes a :class:`._board.Board`: the parts with their circuit.
 
@@ -81,7 +81,7 @@ class Parts:
     """V, the reference voltage"""
     supply: tuple[float, float]
     """V, output swing"""
-    turned: bool
+    transposed: bool
     """whether the array's rows are sensed and its columns driven"""
     floating: bool
     """whether rows that are not selected are left open"""
@@ -130,24 +130,24 @@ class Parts:
     @property
     def line_kinds(self) -> tuple[str, str]:
         """Names of the driven and of the sensed lines in the array: "row" and "column", or "column" and "row"."""
-        return ("column", "row") if self.turned else ("row", "column")
+        return ("column", "row") if self.transposed else ("row", "column")
 
     @property
     def array_shape(self) -> tuple[int, int]:
         """Rows and columns of the array itself."""
-        return self.shape[::-1] if self.turned else self.shape
+        return self.shape[::-1] if self.transposed else self.shape
 
     def driven_line(self, row: int) -> int:
         """Convert row ``row`` in line coordinates to the line's number in the array, or back."""
-        return self.shape[0] - 1 - row if self.turned else row
+        return self.shape[0] - 1 - row if self.transposed else row
 
     def sensed_line(self, column: int) -> int:
         """Convert column ``column`` in line coordinates to the line's number in the array, or back."""
-        return self.shape[1] - 1 - column if self.turned else column
+        return self.shape[1] - 1 - column if self.transposed else column
 
-    def turn(self, values: NDArray[T]) -> NDArray[T]:
+    def transpose(self, values: NDArray[T]) -> NDArray[T]:
         """Convert (..., rows, columns) values of the array to line coordinates, or back; returns a view."""
-        return values.swapaxes(-1, -2)[..., ::-1, ::-1] if self.turned else values
+        return values.swapaxes(-1, -2)[..., ::-1, ::-1] if self.transposed else values
 
     @cached_property
     def inverse_gain(self) -> FloatArray:

@@ -21,6 +21,7 @@ from ._design import Design
 from ._exact import read_exactly
 from ._scan import scan
 from ._sections import PerLine
+from ._tuning import MOST_BUILT
 
 _OF_ROW, _OF_COLUMN = {"section": "array", "lines": "rows"}, {"section": "array", "lines": "columns"}
 _OF_READOUT, _SHARED = {"section": "readout", "lines": "sensed"}, {"section": "readout", "lines": "board"}
@@ -78,6 +79,11 @@ class Boards:
     def count(self) -> int:
         """S, or 1 if all boards are alike."""
         return max(map(len, (*(getattr(self, name) for name in self.names()), *self.ends.values())))
+
+    def values(self, board: int) -> bytes:
+        """All values of one board: equal if, and only if, two boards are alike."""
+        parts = (*(getattr(self, name) for name in self.names()), *self.ends.values())
+        return np.concatenate([part[0 if len(part) == 1 else board] for part in parts]).tobytes()
 
     def board(self, design: Design) -> Board:
         """The boards as a stack (:mod:`._parts`), of a design without networks at its lines."""
@@ -153,14 +159,19 @@ def scan_population(
     board = design.board
     wanted = np.ones(volts.shape, dtype=np.bool_)
     if driven is not None:
-        wanted = np.indices((rows, columns))[int(board.turned)] == np.reshape(driven, (-1, 1, 1))
+        wanted = np.indices((rows, columns))[int(board.transposed)] == np.reshape(driven, (-1, 1, 1))
     if not read_together(design):
+        built: dict[bytes, Design] = {}
         for number in range(count):
-            result = scan(boards.design(design, number), cells[0 if len(cells) == 1 else number], method="exact")
+            alike = boards.values(number)
+            if alike not in built:  # what follows from a board's parts alone is worked out once
+                built = built if len(built) < MOST_BUILT else {}
+                built[alike] = boards.design(design, number)
+            result = scan(built[alike], cells[0 if len(cells) == 1 else number], method="exact")
             volts[number], saturated[number] = result.volts, result.saturated
         return PopulationReading(np.where(wanted, volts, np.nan), saturated & wanted)
     low, high = design.readout.supply
-    lines = board.turn(np.broadcast_to(cells, volts.shape))
+    lines = board.transpose(np.broadcast_to(cells, volts.shape))
     for some, line in _groups(count, max(1, IN_CACHE // 8 // (rows * columns)), driven if board.floating else None):
         stack = boards.part(some).board(design)
         if line is not None:
@@ -168,8 +179,8 @@ def scan_population(
         if not resolve_saturation:
             stack = replace(stack, supply=(-inf, inf))
         outputs, _ = read_exactly(stack, lines[some])
-        volts[some] = board.turn(board.circuit.in_the_limit(stack, lines[some], outputs.volts))
-        saturated[some] = board.turn(outputs.saturated)
+        volts[some] = board.transpose(board.circuit.in_the_limit(stack, lines[some], outputs.volts))
+        saturated[some] = board.transpose(outputs.saturated)
     if not resolve_saturation and board.circuit.has_amplifiers:
         saturated = (volts < low) | (volts > high)
         np.clip(volts, low, high, out=volts)

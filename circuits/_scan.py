@@ -92,10 +92,10 @@ def scan(
     cells = design.resistance(resistance)
     start = time.perf_counter()
     board = design.board
-    found = _read(board, board.turn(cells)[None], demand)
+    found = _read(board, board.transpose(cells)[None], demand)
     return ScanResult(
-        volts=board.turn(found.volts[0]),
-        saturated=board.turn(found.saturated[0]),
+        volts=board.transpose(found.volts[0]),
+        saturated=board.transpose(found.saturated[0]),
         method=METHODS[int(found.exact[0])],
         error_bound=float(_certified(found, tolerance)[0]),
         seconds=time.perf_counter() - start,
@@ -115,13 +115,13 @@ def scan_batch(
     cells = checked_frames(design, resistance)
     start = time.perf_counter()
     board = design.board
-    lines = board.turn(cells)
+    lines = board.transpose(cells)
     share = max(1, IN_CACHE // 8 // design.array.rows // design.array.columns)
     parts = [_read(board, lines[first : first + share], demand) for first in range(0, len(lines), share)]
     found = _Answers(*(np.concatenate(part) for part in zip(*parts, strict=True))) if parts else _nothing(lines.shape)
     return BatchResult(
-        volts=board.turn(found.volts),
-        saturated=board.turn(found.saturated),
+        volts=board.transpose(found.volts),
+        saturated=board.transpose(found.saturated),
         method=tuple(METHODS[exact] for exact in found.exact.astype(int)),
         error_bound=_certified(found, tolerance, frames=True),
         seconds=time.perf_counter() - start,

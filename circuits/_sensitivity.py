@@ -98,8 +98,8 @@ def sensitivity(design: Design, resistance: ArrayLike) -> Sensitivity:
 
     """
     board = design.board
-    found = board_sensitivity(board, board.turn(design.resistance(resistance)))
-    return _turned_back(found) if board.turned else found
+    found = board_sensitivity(board, board.transpose(design.resistance(resistance)))
+    return _transposed_back(found) if board.transposed else found
 
 
 def board_sensitivity(board: Board, cells: FloatArray) -> Sensitivity:
@@ -150,7 +150,7 @@ def solve_fields(board: Board, cells: FloatArray) -> SolvedFields:
     return SolvedFields(board, ports, reading, BasisFields.of(board, cells, network))
 
 
-def _turned_back(found: Sensitivity) -> Sensitivity:
+def _transposed_back(found: Sensitivity) -> Sensitivity:
     """Convert line coordinates to rows and columns of the array, on a board that senses rows."""
 
     def turned(values: FloatArray) -> FloatArray:

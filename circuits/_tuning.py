@@ -21,6 +21,8 @@ FEW_NODES = 150
 SHORT = 1e8
 """conductance that stands for a short, over the largest other one: readings change by about 1e-8, and derivatives keep
 four digits. Grids whose conductances span as much are solved by sparse elimination, whose order keeps more digits"""
+MOST_BUILT = 64
+"""designs that are kept while many boards are read one by one"""
 
 # -- readouts ----------------------------------------------------------------------------------------------------------
 

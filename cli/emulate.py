@@ -118,8 +118,8 @@ def _emulate(
     with stop_on_signals() as stop, _port(link, tcp, rfc2217) as port:
         family = str(options["family"])
         banners = "\n".join([banner(scene, port, family), *others])
-        told = partial(click.echo, banners)  # who reads the name of the port may open it
-        outcome = emulate(scene, port, ready=told, stop=stop, **options)
+        announce = partial(click.echo, banners)  # who reads the name of the port may open it
+        outcome = emulate(scene, port, ready=announce, stop=stop, **options)
         for note in outcome.notes():
             click.echo(f"ohmskin: {note}", err=True)
         return 0 if stop.signal is None else 128 + stop.signal

@@ -313,7 +313,7 @@ def _noise_of(design: Design) -> float:
         },
         fault=(),
     )
-    cells = array.columns if design.board.turned else array.rows
+    cells = array.columns if design.board.transposed else array.rows
     middle = max((abs(limit - readout.reference_voltage) for limit in adc.range), default=0.0) / 2
     ohms = first(readout.reference_resistance) * abs(design.drive.voltage) / middle
     try:

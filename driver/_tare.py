@@ -108,10 +108,10 @@ class Tare:
     @property
     def covers(self) -> str:
         """How many cells have been measured, and how many frames would measure the cells that noise hides."""
-        told = f"{int(self.measured.sum())} of {count_of(self.measured.size, 'cell')} measured{self._lines_left_out}"
+        covered = f"{int(self.measured.sum())} of {count_of(self.measured.size, 'cell')} measured{self._lines_left_out}"
         if self.remarks or not self.frames_advised:
-            return told
-        return f"{told}, noise hides the others; tare({self.frames_advised}) covers nearly all"
+            return covered
+        return f"{covered}, noise hides the others; tare({self.frames_advised}) covers nearly all"
 
     @property
     def _lines_left_out(self) -> str:
@@ -290,10 +290,10 @@ class RestReadings:
             The number, rounded up to two digits; 0 if noise does not suffice to explain the ratios.
 
         """
-        squares, told = (deviation**2).sum(axis=0), np.maximum(readings - 1, 0)
-        variance = squares.sum() / max(told.sum(), 1)
+        squares, degrees = (deviation**2).sum(axis=0), np.maximum(readings - 1, 0)
+        variance = squares.sum() / max(degrees.sum(), 1)
         # A few readings of a cell give a poor estimate of its noise.
-        own = np.sqrt((squares + TYPICAL_READINGS * variance) / (told + TYPICAL_READINGS))
+        own = np.sqrt((squares + TYPICAL_READINGS * variance) / (degrees + TYPICAL_READINGS))
         beyond = np.abs(ratio - 1) - spread
         unlike = beyond > 0
         # Boards measure currents, so the noise is that of a conductance; in a resistance it grows with the resistance.

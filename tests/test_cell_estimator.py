@@ -15,12 +15,12 @@ from boards import DESIGN, Wire, lossless, scene
 from cells import DT, EXAMPLE, FULL, exactly
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from uncompiled import switched_off
 
 from ohmskin.bench import scenarios, scenes
 from ohmskin.cell import Cell, ContactModel, Estimator, estimate_recording
 from ohmskin.cell._cell import Calibrated
 from ohmskin.cell.inversions import Limits, StaticCurve
-from ohmskin.common import compiled
 from ohmskin.common.arrays import FloatArray
 from ohmskin.common.measurement import Measurement
 from ohmskin.emulator import Board
@@ -353,7 +353,7 @@ def test_kernels_do_the_same_as_plain_python(kind: str, name: str | None) -> Non
         return values
 
     by_code = found()
-    with compiled.switched_off():
+    with switched_off():
         np.testing.assert_array_equal(found(), by_code)
 
 

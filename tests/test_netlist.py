@@ -349,7 +349,7 @@ def test_random_boards_in_time_agree(seed: int) -> None:
         readout |= {"circuit": "inverting-amplifier", "gain_bandwidth": 1e6}
     design = design.replace(readout=readout, adc={"acquisition_time": 0.0})
     cells = 10 ** np.random.default_rng(seed).uniform(3.7, 5.0, design.array.shape)
-    settling, turned = Settling(design, cells), design.board.turned
+    settling, turned = Settling(design, cells), design.board.transposed
     line = design.board.shape[0] - 1
     period = 0.3 * settling.shortest_period(0.01)
     found = spice.dynamic_reading(design, cells, line, period=period)

@@ -227,5 +227,8 @@ def test_the_model_of_unheld_rows_is_that_of_the_scan(kind: str, rows: int, colu
     assert isinstance(way, UsualFits)
     cells = 10 ** draw.uniform(2, 6, (rows, columns))
     np.testing.assert_allclose(
-        design.board.turn(way.volts(design.board.turn(cells))), scan(design, cells).volts, rtol=1e-8, atol=1e-12
+        design.board.transpose(way.volts(design.board.transpose(cells))),
+        scan(design, cells).volts,
+        rtol=1e-8,
+        atol=1e-12,
     )

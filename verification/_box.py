@@ -95,7 +95,7 @@ class Box:
     @property
     def sensed_axis(self) -> int:
         """The axis of the array along which lines have a readout."""
-        return 0 if self.design.board.turned else 1
+        return 0 if self.design.board.transposed else 1
 
     @property
     def half_step(self) -> float:

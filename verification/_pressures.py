@@ -174,7 +174,7 @@ def _sampled(
     population, box = parts.population(factors[None]), box_of(dut)
     board = population.boards.design(dut.hot, 0)
     found = scan_batch(board, cells)
-    previous = np.roll(found.volts, 1, axis=2 if dut.design.board.turned else 1)
+    previous = np.roll(found.volts, 1, axis=2 if dut.design.board.transposed else 1)
     volts = found.volts + share * (previous - found.volts)
     try:
         states = [noise(board, uniform).before_adc for uniform in dut.uniform.values()]

@@ -52,7 +52,7 @@ def law_of(box: Box, row: IntArray, column: IntArray) -> Law:
     The readings of different cells share frames, since the law of a cell depends on the ends of both its lines.
     """
     board = box.design.board
-    if board.turned:
+    if board.transposed:
         row, column = board.shape[0] - 1 - column, board.shape[1] - 1 - row
     place = row * board.shape[1] + column
     order = np.argsort(place, kind="stable")
@@ -165,7 +165,7 @@ class ReadingTarget(Target):
         for first in range(0, len(corners), size):
             some = corners.some(slice(first, first + size))
             population = box.population(some.x)
-            driven = some.column if box.design.board.turned else some.row
+            driven = some.column if box.design.board.transposed else some.row
             frames = []
             for cells in self.frames_of(box, some):
                 found = scan_population(
@@ -319,7 +319,9 @@ def _slopes(
             press += by_cell * (high - low) * width * deviating
             scale += by_cell * ohms / deviating * box.cell_spread
             nudged = signed(number, true=1 + 1e-6) - signed(number, true=1 - 1e-6)
-            scale[each, row, column] += np.nan_to_num(nudged / 2e-6) * box.cell_spread
+            own, by_true = (each, row, column), np.nan_to_num(nudged / 2e-6)
+            press[own] += by_true * ((high - low) * width * deviating / ohms)[own]
+            scale[own] += by_true * (box.cell_spread / deviating)[own]
         flat = [part.reshape(len(row), -1) for part in (factors, press, scale)]
         return signed(0), np.concatenate(flat, axis=1)
 

@@ -157,7 +157,7 @@ def _driver(drawing: _Drawing, design: Design, row: int) -> None:
 
 def _drawn(design: Design) -> str:
     """Which lines the drawing shows; a circuit that senses the array's rows is drawn transposed."""
-    if design.board.turned:
+    if design.board.transposed:
         return "transposed, for the array's columns are driven and its rows sensed"
     return "the first rows and columns"
 
@@ -165,7 +165,7 @@ def _drawn(design: Design) -> str:
 def _place(design: Design, row: int, column: int) -> str:
     """The array's row and column of a cell that is drawn at the crosspoint of two lines."""
     places = design.board.driven_line(row), design.board.sensed_line(column)
-    return "{},{}".format(*(places[::-1] if design.board.turned else places))
+    return "{},{}".format(*(places[::-1] if design.board.transposed else places))
 
 
 def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) -> None:

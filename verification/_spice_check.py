@@ -106,7 +106,7 @@ def _frames(dut: DesignUnderTest, requirement: Requirement, analysis: str) -> It
 def _simulated(dut: DesignUnderTest, requirement: Requirement, analysis: str) -> Iterator[_Frame]:
     """The quantity for each frame."""
     whole = dut.design
-    design = excerpt(whole, *((MOST_SENSED, MOST_DRIVEN) if whole.board.turned else (MOST_DRIVEN, MOST_SENSED)))
+    design = excerpt(whole, *((MOST_SENSED, MOST_DRIVEN) if whole.board.transposed else (MOST_DRIVEN, MOST_SENSED)))
     frames = list(_frames(dut.with_design(design), requirement, analysis))
     for number, (state, cells) in enumerate(frames, 1):
         _log.info("%s: ngspice computes frame %d of %d", requirement.id, number, len(frames))
@@ -132,7 +132,7 @@ def excerpt(design: Design, most_rows: int, most_columns: int) -> Design:
     rows, columns = min(design.array.rows, most_rows), min(design.array.columns, most_columns)
     if (rows, columns) == design.array.shape:
         return design
-    sensed = rows if design.board.turned else columns
+    sensed = rows if design.board.transposed else columns
     cut: dict[str, dict[str, object]] = {"array": {"rows": rows, "columns": columns}, "readout": {}}
     for name in ("array", "readout"):
         section = getattr(design, name)

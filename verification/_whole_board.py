@@ -179,7 +179,7 @@ class OperatingTarget(WholeBoardTarget):
         if value.ndim == 3:
             return value
         driven = self.field.startswith("driver")
-        along_rows = driven != box.design.board.turned
+        along_rows = driven != box.design.board.transposed
         return value[:, :, None] if along_rows else value[:, None]
 
     def cost(self, box: Box) -> float:
@@ -215,10 +215,10 @@ def scan_in_time(design: Design, cells: FloatArray, period: float) -> EventScan:
 def driven_line(box: Box, place: Sequence[int]) -> str:
     """The driven line of a cell, in words."""
     board = box.design.board
-    return f"{board.line_kinds[0]} {place[1] if board.turned else place[0]}"
+    return f"{board.line_kinds[0]} {place[1] if board.transposed else place[0]}"
 
 
 def sensed_line(box: Box, place: Sequence[int]) -> str:
     """The sensed line of a cell, in words."""
     board = box.design.board
-    return f"{board.line_kinds[1]} {place[0] if board.turned else place[1]}"
+    return f"{board.line_kinds[1]} {place[0] if board.transposed else place[1]}"

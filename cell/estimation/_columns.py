@@ -49,20 +49,20 @@ def share_each(
             most = CLIPPED * math.sqrt(reading.spread + reading.shared * reading.shared)
             reading.off = min(max(0.5 * (reading.low + reading.high) - mean, -most), most)
     for k in range(columns):
-        precision, told = 1.0, 0.0
+        precision, moved = 1.0, 0.0
         for i in range(k, readings.size, columns):
             reading = readings[i]
             if reading.spread > 0.0:
                 precision += reading.shared * reading.shared / reading.spread
-                told += reading.shared * reading.off / reading.spread
-        recent[k] += WHITE * (told / precision - recent[k])
-        loaded = abs(told / precision) > RARE
+                moved += reading.shared * reading.off / reading.spread
+        recent[k] += WHITE * (moved / precision - recent[k])
+        loaded = abs(moved / precision) > RARE
         for i in range(k, readings.size, columns):
             reading = readings[i]
             if reading.spread > 0.0:
                 shared = reading.shared
                 others = precision - shared * shared / reading.spread
-                z = (told - shared * reading.off / reading.spread) / others
+                z = (moved - shared * reading.off / reading.spread) / others
                 lasting = shared * recent[k] * (1.0 - 1.0 / others)
                 move = 0.0 if loaded else shared * z - lasting + min(max(lasting, -reading.held), reading.held)
                 reading.low -= move

@@ -724,7 +724,7 @@ def step_each(
     readings: Records[Reading],
     sleeps: Row,
     beside: PlaceRows,
-    told: Rows,
+    loads: Rows,
     sudden: float,
     forget: float,
 ) -> None:
@@ -741,7 +741,7 @@ def step_each(
         readings: (n,)
         sleeps: (n,) 1 where a cell may sleep.
         beside: (n, most) cells beside each; n: none.
-        told: (3, n) scratch: loads that readings tell, for :mod:`._neighbours`.
+        loads: (3, n) scratch: loads that readings tell, for :mod:`._neighbours`.
         sudden: see :class:`~._modes.Tuning`.
         forget: share of the evidence for modes that is kept.
 
@@ -750,30 +750,30 @@ def step_each(
     for i in range(cells.size):
         reading = readings[i]
         known, width, var = reading.known > 0.0, reading.high - reading.low, reading.variance
-        told[LOAD, i], told[VARIANCE, i], told[BELIEVED, i] = 0.0, 0.0, max(reading.known, 0.0)
+        loads[LOAD, i], loads[VARIANCE, i], loads[BELIEVED, i] = 0.0, 0.0, max(reading.known, 0.0)
         if reading.known < 0.0:
             continue
         e, before, watch = cells[i], befores[i], watches[i]
         if watch.asleep > 0.0:
             if known and rests(watch, t, reading.low, reading.high, var):
-                told[VARIANCE, i] = (var + width * width * (1.0 / 12.0)) / (t.gain * t.gain)
+                loads[VARIANCE, i] = (var + width * width * (1.0 / 12.0)) / (t.gain * t.gain)
                 continue
             watch.asleep, e.r[REST], e.x3[REST] = 0.0, watch.left, watch.left_x3
         low, high = reading.low - watch.offset, reading.high - watch.offset
         follow(e, before, watch, c, p, trial[0], t, known, low, high, var, forget)
         mean = mean_of(e)
-        told[LOAD, i], told[VARIANCE, i] = mean, variance_of(e, mean, t)
+        loads[LOAD, i], loads[VARIANCE, i] = mean, variance_of(e, mean, t)
         if watch.since_s == 0.0 and sleeps[i] > 0.0 and forget < 1.0 and known and settled(e, var, width):
             watch.asleep, watch.left, watch.left_x3, watch.cusum = 1.0, e.r[REST], e.x3[REST], 0.0
     for i in range(cells.size):
         watch, reading = watches[i], readings[i]
         if reading.known < 0.0:
             continue
-        mean, spread, reading.believed = told[LOAD, i], told[VARIANCE, i], 1.0
+        mean, spread, reading.believed = loads[LOAD, i], loads[VARIANCE, i], 1.0
         if watch.since_s > 0.0:
             other = mean_of(befores[i])
             other_spread, odds = variance_of(befores[i], other, t), watch.odds
-            usual, about = prior(i, beside, told)
+            usual, about = prior(i, beside, loads)
             if about >= 0.0:
                 odds += math.log(
                     agreement(other, other_spread, usual, about, sudden) / agreement(mean, spread, usual, about, sudden)

@@ -185,7 +185,7 @@ def take_frames(
     slopes: Row,
     shown: Rows,
     beside: PlaceRows,
-    told: Rows,
+    loads: Rows,
     steps: Records[Step],
     which: Places,
     blocks: Blocks,
@@ -213,10 +213,10 @@ def take_frames(
         seen: (2, n) what is remembered of readings.
         readings: (n,) written: the readings of the last frame.
         states: (n,) what the inversion says of the cells.
-        slopes: (m,) see :func:`show_frames`, as ``shown``, ``beside`` and ``told``.
+        slopes: (m,) see :func:`show_frames`, as ``shown``, ``beside`` and ``loads``.
         shown: see ``slopes``.
         beside: see ``slopes``.
-        told: see ``slopes``.
+        loads: see ``slopes``.
         steps: (k,) weights of time steps.
         which: (frames,) number of the step of each frame.
         blocks: (frames, fields, n) measurements.
@@ -264,7 +264,7 @@ def take_frames(
             clock.since_forgot_s = 0.0
         step_each(
             *(cells, befores, watches, candidates, pools, trial, step, readings, sleeps),
-            *(beside, told, settings.sudden, forget),
+            *(beside, loads, settings.sudden, forget),
         )
         for i in range(rest_ohm.size):
             slept, sleeping = status[frame, i] & ASLEEP, watches[i].asleep > 0.0
@@ -287,7 +287,7 @@ def take_frames(
     if settings.follows > 0.0:
         show_frames(
             *(status, level, level_variance, states, states, all_settings, slopes, shown),
-            *(beside, told, pressure, std),
+            *(beside, loads, pressure, std),
         )
 
 
@@ -302,7 +302,7 @@ def show_frames(
     slopes: Row,
     shown: Rows,
     beside: PlaceRows,
-    told: Rows,
+    loads: Rows,
     pressure: Rows,
     std: Rows,
 ) -> None:
@@ -319,7 +319,7 @@ def show_frames(
         shown: (3, n) the last pressures and deviations, and for cells that are not believed the probability that their
             loads were like those beside when they last were; renewed.
         beside: (n, most) cells beside each; n: none.
-        told: (3, n) scratch.
+        loads: (3, n) scratch.
         pressure: written.
         std: written.
 
@@ -327,10 +327,10 @@ def show_frames(
     settings, cells = all_settings[0], states.size
     full = settings.full_kpa
     for frame in range(status.shape[0]):
-        if lose(status, frame, shown, told):
+        if lose(status, frame, shown, loads):
             for i in range(cells):
                 if shown[LIKE, i] == LOST:
-                    usual, about = prior(i, beside, told)
+                    usual, about = prior(i, beside, loads)
                     own, own_var = shown[0, i], shown[1, i] * shown[1, i]
                     shown[LIKE, i] = alike(own, own_var, usual, about, full, settings.alone)
         missing = False
@@ -362,27 +362,27 @@ def show_frames(
                 kpa = shown[0, i]
                 var = math.nan if math.isnan(kpa) else var + off * off
             believed = shown[LIKE, i] == BELIEVES
-            told[LOAD, i], told[VARIANCE, i], told[BELIEVED, i] = kpa, var, 1.0 if believed else 0.0
+            loads[LOAD, i], loads[VARIANCE, i], loads[BELIEVED, i] = kpa, var, 1.0 if believed else 0.0
             missing = missing or not believed
             shown[0, i], shown[1, i] = kpa, math.sqrt(var)
             pressure[frame, i], std[frame, i] = kpa, shown[1, i]
         if missing:
             for i in range(cells):
                 if shown[LIKE, i] != BELIEVES:
-                    usual, about = prior(i, beside, told)
-                    if about >= 0.0 and not math.isnan(told[LOAD, i]):
-                        kpa, var = fuse(told[LOAD, i], told[VARIANCE, i], usual, about, shown[LIKE, i])
+                    usual, about = prior(i, beside, loads)
+                    if about >= 0.0 and not math.isnan(loads[LOAD, i]):
+                        kpa, var = fuse(loads[LOAD, i], loads[VARIANCE, i], usual, about, shown[LIKE, i])
                         shown[1, i] = math.sqrt(var)
                         pressure[frame, i], std[frame, i] = kpa, shown[1, i]
 
 
 @loop
-def lose(status: Reasons, frame: int, shown: Rows, told: Rows) -> bool:
+def lose(status: Reasons, frame: int, shown: Rows, loads: Rows) -> bool:
     """Mark cells that are not believed any more, and tell what they and the others showed; returns if there are any."""
     lost = False
     for i in range(status.shape[1]):
-        told[LOAD, i], told[VARIANCE, i] = shown[0, i], shown[1, i] * shown[1, i]
-        told[BELIEVED, i] = 1.0 if shown[LIKE, i] == BELIEVES and not math.isnan(shown[0, i]) else 0.0
+        loads[LOAD, i], loads[VARIANCE, i] = shown[0, i], shown[1, i] * shown[1, i]
+        loads[BELIEVED, i] = 1.0 if shown[LIKE, i] == BELIEVES and not math.isnan(shown[0, i]) else 0.0
         if status[frame, i] & READ and not status[frame, i] & DOUBTED:
             shown[LIKE, i] = BELIEVES
         elif shown[LIKE, i] == BELIEVES:

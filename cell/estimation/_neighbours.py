@@ -4,7 +4,7 @@ A finger presses several cells. The loads of the cells beside one, whose reading
 a Gaussian prior: their mean, and their spread about it. Now and then they say nothing, as some contacts cover one cell
 alone. The prior enters
 
-- as odds of a bad contact: a jump of a cell whose neighbours are untouched is a spark, beside pressed ones a press;
+- as odds of a bad contact: a jump of a cell whose neighbours are untouched is one, beside pressed ones it is a press;
 - as evidence of a load that is not read, as far as the cell was like its neighbours when it was read last.
 """
 
@@ -22,18 +22,18 @@ LOAD, VARIANCE, BELIEVED = 0, 1, 2
 
 
 @loop
-def prior(cell: int, beside: PlaceRows, told: Rows) -> tuple[float, float]:
+def prior(cell: int, beside: PlaceRows, loads: Rows) -> tuple[float, float]:
     """Mean and variance of a cell's load by its neighbours; a negative variance where none of them is believed.
 
     The load of a cell differs from their mean by as much as they do, and by that mean (fingertips may be sharp).
     """
     count = mean = square = 0.0
     for other in beside[cell]:
-        if other < told.shape[1] and told[BELIEVED, other] > 0.0:
-            load = told[LOAD, other]
+        if other < loads.shape[1] and loads[BELIEVED, other] > 0.0:
+            load = loads[LOAD, other]
             count += 1.0
             mean += load
-            square += load * load + told[VARIANCE, other]
+            square += load * load + loads[VARIANCE, other]
     if count == 0.0:
         return 0.0, -1.0
     mean /= count

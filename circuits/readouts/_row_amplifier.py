@@ -1,4 +1,4 @@
-"""Inverting (transimpedance) amplifiers on all rows, columns driven: the zero-potential method with the array turned.
+"""Inverting (transimpedance) amplifiers on all rows, columns driven: zero-potential method, the array transposed.
 
 The columns are driven one at a time, and each row ends in an amplifier. Column j is driven behind its ``column_lead``,
 from the end after row N - 1. Row i is sensed behind its ``row_lead``, at column 0. In line coordinates

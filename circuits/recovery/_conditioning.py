@@ -62,7 +62,7 @@ def conditioning(design: Design, resistance: ArrayLike) -> Conditioning:
     cells = np.asarray(resistance, dtype=np.float64)
     left_out = np.isnan(cells)
     cells = design.resistance(np.where(left_out, inf, cells))
-    model, turn = Model(design), design.board.turn
+    model, turn = Model(design), design.board.transpose
     with np.errstate(divide="ignore"):
         conductance = 1.0 / turn(cells)
     if np.isinf(conductance).any():

@@ -30,7 +30,7 @@ class Model:
         self.level, self.drive = board.level, board.drive
         ends = None if board.floating else board.circuit.ends(board)
         self._ends = ends if ends is not None and np.ptp(ends.source) == 0 else None
-        self._turned_drive = unlimited.replace(drive={"voltage": -self.drive}).board
+        self._opposite_drive = unlimited.replace(drive={"voltage": -self.drive}).board
         self._has_rest = board.circuit.has_amplifiers and bool(
             board.offset.any() or board.bias.any() or (self.level and np.isfinite(board.gain).any())
         )
@@ -43,7 +43,7 @@ class Model:
         if not self._has_rest:
             return volts - self.level, self.level
         if self._ends is None:
-            other = read_exactly(self._turned_drive, cells)[0].volts
+            other = read_exactly(self._opposite_drive, cells)[0].volts
             return (volts - other) / 2, (volts + other) / 2
         # Superposition: a cell is driven in the step of its own row only, while the sources of its column act in every
         # step. The sum over the rows gives the part of these sources.

@@ -258,17 +258,17 @@ def measure_by_law(
             beside_short = beside_short or cells[i, j] * of_cells[WIRES, i, j] > MOST_WIRE
     for i in range(rows):
         for j in range(columns):
-            told, lower, upper = uncertainty[i, j] + others[i, j], work[LOWER, i, j], work[UPPER, i, j]
+            stated, lower, upper = uncertainty[i, j] + others[i, j], work[LOWER, i, j], work[UPPER, i, j]
             if board.several > 0.0:
                 low, high, middle_one = of_cells[LOW, i, j], of_cells[HIGH, i, j], by_law[i, j]
-                told = max(told, max(high - middle_one, middle_one - low) / abs(middle_one))
-                told = told if high <= ONE * low else math.inf
+                stated = max(stated, max(high - middle_one, middle_one - low) / abs(middle_one))
+                stated = stated if high <= ONE * low else math.inf
                 lower, upper = max(lower, low), min(upper, high)
-            valid = told <= board.accuracy
+            valid = stated <= board.accuracy
             # A cell far below its wires reads like a short, whatever its own error is.
             short = cells[i, j] * of_cells[WIRES, i, j] > MOST_WIRE
             short = short or (not valid and cells[i, j] * of_cells[WHOLE_WIRES, i, j] > MOST_WIRE)
-            why = 0 if valid else (DISTURBED if others[i, j] > 0.5 * told else UNCERTAIN)
+            why = 0 if valid else (DISTURBED if others[i, j] > 0.5 * stated else UNCERTAIN)
             # What others leave open does not wait for the next frames, and a short keeps others from settling.
             if not settled and (valid or beside_short):
                 why = DISTURBED if beside_short else UNSETTLED
@@ -278,12 +278,12 @@ def measure_by_law(
                 why = NO_CURRENT
             if no_reading[i, j] != 0:
                 why = no_reading[i, j]
-            row, column = (columns - 1 - j, rows - 1 - i) if board.turned > 0.0 else (i, j)
+            row, column = (columns - 1 - j, rows - 1 - i) if board.transposed > 0.0 else (i, j)
             reason[row, column] = why
             if not (why == 0 or (why == UNCERTAIN and settled)):
-                told = math.inf
+                stated = math.inf
             of_errors = abs(work[PER_VOLT, i, j]), work[BESIDE, i, j], work[STD, i, j]
-            values = max(cells[i, j], 0.0), told, *of_errors, noise[row, column]
+            values = max(cells[i, j], 0.0), stated, *of_errors, noise[row, column]
             block[LEAST, row, column], block[GREATEST, row, column] = lower, upper
             state_one(block, reason, row, column, *values, usual, half_step, rows, board)
     return MEASURED, enclosed

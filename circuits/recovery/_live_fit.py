@@ -167,7 +167,7 @@ class FitLive:
 
         """
         board = known.board
-        self._shape, self._turn, self._board = board.shape, board.turn, known.sliced
+        self._shape, self._turn, self._board = board.shape, board.transpose, known.sliced
         self._constants = constants_of(board, rule, alike=ALIKE)
         self._half_step = adc_error(board)
         self._std = self._half_step / sqrt(3.0)

@@ -57,7 +57,7 @@ class Constants(Record):
     """1 where readings may have several answers"""
     fits: float
     """1 where derivatives of all readings may know more of cells beside unknown ones"""
-    turned: float
+    transposed: float
     """1 where the lines that are driven are the array's columns"""
 
 
@@ -136,7 +136,7 @@ def constants_of(board: Board, rule: ValidityRule, **others: float) -> Records[C
         "averages": rule.averages,
         "one_by_one": board.circuit.columns_one_by_one(board),
         "floating": board.floating,
-        "turned": board.turned,
+        "transposed": board.transposed,
     }
     for name, value in (given | others).items():
         constants[name] = value

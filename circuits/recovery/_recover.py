@@ -137,8 +137,10 @@ class Recoverer:
         if self._undetermined:
             raise SolverError("the readings do not determine the cells: lines joined by 0 ohm read as one")
         board = self._board
-        measured = board.turn(_checked(self._design, volts))
-        limits = self._limits(measured, None if clipped is None else board.turn(np.asarray(clipped, dtype=np.bool_)))
+        measured = board.transpose(_checked(self._design, volts))
+        limits = self._limits(
+            measured, None if clipped is None else board.transpose(np.asarray(clipped, dtype=np.bool_))
+        )
         columns = Columns.of(board, measured) if self._independent_columns else None
         found = self._inverter(measured) if columns is None else columns.found(limits.any)
         lost = np.isnan(found.conductance)
@@ -242,7 +244,7 @@ class Recoverer:
         gone = hidden | lost
         resistance[gone], uncertainty[gone] = np.nan, inf
         status[shorted], resistance[shorted], uncertainty[shorted] = Status.READ, 0.0, 0.0
-        turn = self._board.turn
+        turn = self._board.transpose
         return Recovery(
             resistance=turn(resistance),
             status=turn(status.astype(np.int8)),

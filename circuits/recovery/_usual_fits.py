@@ -365,15 +365,15 @@ def state_fitted(
             share = tie / (1.0 + tie)
             moved_on = 1.0 + abs(share - made_at[i, j]) / max(made_at[i, j] * (1.0 - made_at[i, j]), LEAST_FAR)
             off = sigmas * moved_on * std[i, j] + more[i, j]
-            told, relative = math.inf, math.inf
+            stated, relative = math.inf, math.inf
             if share > 0.0:
                 relative = moved_on * std[i, j] / (share * (1.0 - share))
                 if share + off < 1.0:
-                    told = max(own, off / (share * (1.0 - share - off)))
+                    stated = max(own, off / (share * (1.0 - share - off)))
             why = DISTURBED if disturbs and own < board.accuracy else UNCERTAIN
             if signal <= error:
                 why = NO_CURRENT
-            elif told <= board.accuracy and not unread[i, j]:
+            elif stated <= board.accuracy and not unread[i, j]:
                 why = 0
             elif unread[i, j] or signal >= SHORT_SHARE * shorts[i, j]:
                 why = SATURATED
@@ -381,11 +381,11 @@ def state_fitted(
                 why = NO_CURRENT
             if gone[i, j]:
                 why = HIDDEN
-            row, column = (columns - 1 - j, rows - 1 - i) if board.turned > 0.0 else (i, j)
+            row, column = (columns - 1 - j, rows - 1 - i) if board.transposed > 0.0 else (i, j)
             reason[row, column] = why
-            told = told if why in (0, UNCERTAIN) else math.inf
+            stated = stated if why in (0, UNCERTAIN) else math.inf
             every = max(relative / (coarser * converter), per_volt[i, j])
-            values = conductance[i, j], told, per_volt[i, j], 0.0, every, noise[row, column]
+            values = conductance[i, j], stated, per_volt[i, j], 0.0, every, noise[row, column]
             block[LEAST, row, column], block[GREATEST, row, column] = 0.0, math.inf
             state_one(block, reason, row, column, *values, usual, half_step, rows, board)
 
@@ -423,7 +423,7 @@ class UsualFits:
         rows, columns = self._shape = board.shape
         ends, alone = board.circuit.read_ends(board), board.circuit.alone(board)
         assert ends is not None
-        self._fit, self._turn, self._constants = fit, board.turn, constants
+        self._fit, self._turn, self._constants = fit, board.transpose, constants
         self._of_rows, self._of_columns = np.empty((2, rows)), np.empty((8, columns))
         self._of_rows[IDLE], self._of_rows[ROW_LEAD] = 1.0 / board.pull, board.row_ohms[:, 0]
         with np.errstate(divide="ignore"):
@@ -477,7 +477,7 @@ class UsualFits:
         if kept is None:
             return None
         some = frame.limited is not None or frame.under_range is not None
-        if some or self._constants["turned"][0]:
+        if some or self._constants["transposed"][0]:
             frame = frame.in_lines(self._turn)
         if some and self._fit.unread(frame).any():
             return None

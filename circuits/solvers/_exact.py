@@ -66,9 +66,9 @@ def port_roots(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatA
         along_row[..., :-1] += grid.row[..., 1:]
         into_row = series_conductance(conductance, along_column)
         into_column = series_conductance(conductance, along_row)
-    turned = np.swapaxes(into_column, -1, -2)[..., ::-1]
+    transposed = np.swapaxes(into_column, -1, -2)[..., ::-1]
     along = np.swapaxes(below, -1, -2)[..., ::-1]
-    return np.sqrt(_chain(into_row, grid.row, stiff)), np.sqrt(_chain(turned, along, stiff))
+    return np.sqrt(_chain(into_row, grid.row, stiff)), np.sqrt(_chain(transposed, along, stiff))
 
 
 def _chain(shunt: FloatArray, series: FloatArray, stiff: bool) -> FloatArray:

@@ -80,7 +80,7 @@ def dynamic_netlist(
         raise InputError("a netlist in time is for a sliced sheet without faults")
     if not isfinite(design.readout.gain_bandwidth):
         raise InputError("readout.gain_bandwidth is infinite: nothing takes time")
-    cells = board.turn(design.resistance(resistance))
+    cells = board.transpose(design.resistance(resistance))
     if not 0 <= row < board.shape[0] or not 0 <= column < board.shape[1]:
         driven, sensed = board.line_kinds
         raise InputError(f"{driven} {row}, {sensed} {column}: outside the array")

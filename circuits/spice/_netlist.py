@@ -75,7 +75,7 @@ def netlist(design: Design, resistance: ArrayLike, row: int) -> str:
     if not 0 <= row < rows:
         raise InputError(f"row {row}: the design has rows 0 to {rows - 1}")
     whole = _Writer(design, resistance)
-    lines = whole.board.turn(np.arange(rows * columns).reshape(whole.board.shape))[row]
+    lines = whole.board.transpose(np.arange(rows * columns).reshape(whole.board.shape))[row]
     return whole.deck(lines.tolist(), f"row {row} is read").text()
 
 
@@ -134,7 +134,7 @@ class _Writer:
 
     def __init__(self, design: Design, resistance: ArrayLike) -> None:
         board = design.board
-        cells = board.turn(design.resistance(resistance))
+        cells = board.transpose(design.resistance(resistance))
         if board.continuous:
             raise InputError('array.sheet = "continuous" has no netlist; expected "sliced"')
         if not design.is_described:
@@ -166,7 +166,7 @@ class _Writer:
         if any(card.startswith(("B", "D")) for card in cards):
             cards.append(NONLINEAR_OPTIONS)
         title = f"ohmskin: {' x '.join(map(str, self.board.array_shape))} cells, {self._name}, {what}"
-        if self.board.turned:
+        if self.board.transposed:
             title += "; columns are driven: row I, column J here are the array's column, row counted from the end"
         return Deck(title, tuple(cards), tuple(outputs[place] for place in places))
 

@@ -33,7 +33,7 @@ def spice_scan(design: Design, resistance: ArrayLike, run: Callable[[str], Vecto
     for places, deck in frame_decks(design, resistance):
         vectors = {GROUND: np.zeros(1)} | run(deck.batch_text())
         volts.flat[places] = [vectors[node][0] for node in deck.outputs]
-    return board.turn(volts)
+    return board.transpose(volts)
 
 
 def _first_installed() -> Callable[[str], Vectors]:

@@ -260,7 +260,9 @@ class ColumnNetworks(NamedTuple):
         """Networks of boards with cells (B, rows, columns) in ohm."""
         board = boards.board(design)
         rows, columns = board.shape
-        network = terminate(exact_ports(board, board.turn(cells)).value, rows + board.pulled, board.column_lead).value
+        network = terminate(
+            exact_ports(board, board.transpose(cells)).value, rows + board.pulled, board.column_lead
+        ).value
         # Where rows float, the selected row and the reference behind pull-downs are ahead of the columns.
         steps = [alone for _, alone, _ in one_driven(network, rows)] if board.floating else [network]
         ends = slice(-columns, None)

@@ -97,7 +97,7 @@ class EventScan:
         if scan is None:
             raise InputError("the design has no [scan] section; expected the events of a scan")
         self._events, self._adc, self._temperature = scan, design.adc, design.readout.temperature
-        if design.board.turned or design.board.circuit.drives_idle_lines:
+        if design.board.transposed or design.board.circuit.drives_idle_lines:
             raise InputError(f'readout.circuit = "{design.readout.circuit}" has no scan by events')
         self._board = board = design.board_by_nodes
         assert board.line_ends is not None

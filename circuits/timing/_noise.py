@@ -124,7 +124,7 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
         parts["sampling"] = np.full(board.shape, np.sqrt(thermal_energy / adc.sampling_capacitance))
     if adc:
         parts["quantisation"] = np.full(board.shape, adc.step / np.sqrt(12))
-    return Noise({name: board.turn(part) for name, part in parts.items()}, design.array.shape)
+    return Noise({name: board.transpose(part) for name, part in parts.items()}, design.array.shape)
 
 
 def _amplifier_noise(design: Design, cells: FloatArray, thermal_energy: float) -> dict[str, FloatArray]:

@@ -135,7 +135,7 @@ class SwitchState(NamedTuple):
         every = np.arange(columns)
         if not one_by_one:
             yield state(every, None, every[:0] if shared else every)
-        for column in (every[::-1] if board.turned else every).tolist() if one_by_one or shared else ():
+        for column in (every[::-1] if board.transposed else every).tolist() if one_by_one or shared else ():
             only = every[[column]]
             if one_by_one:
                 yield state(only, None, every[:0] if shared else only)
@@ -159,8 +159,8 @@ class RepeatedScan:
         networks = ColumnNetworks.of(design, boards, cells)
         self._groups = [self._phases(networks, group) for group in range(networks.conductance.shape[1])]
         """phases of each row's step, or those that all rows share"""
-        rows = range(board.shape[0])
-        self._order = list(reversed(rows)) if board.turned else list(rows)  # a scan goes by the array's line numbers
+        # A scan goes by the array's line numbers.
+        self._order = np.arange(board.shape[0])[:: -1 if board.transposed else 1].tolist()
         current = networks.current.swapaxes(1, 2)
         shared = len(self._groups) == 1
         of_group = [current if shared else current[..., [row]] for row in range(len(self._groups))]

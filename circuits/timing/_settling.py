@@ -53,7 +53,7 @@ class BoardsInTime:
         self._scan = RepeatedScan(design, boards, cells)
         self.briefest = self._scan.briefest
         """shortest row period in s: the acquisitions of all columns, if one sampling capacitor serves them"""
-        self.settled: FloatArray = board.turn(self._scan.settled) + boards.reference_voltage[..., None]
+        self.settled: FloatArray = board.transpose(self._scan.settled) + boards.reference_voltage[..., None]
         """(B, rows, columns) V after a long time, without supply limits"""
 
     @property
@@ -73,7 +73,7 @@ class BoardsInTime:
             raise InputError(
                 f"row period {least} s: expected a time above 0, and adc.acquisition_time for each column at least"
             )
-        return Deviations(*map(self._board.turn, self._scan.deviations(period)))
+        return Deviations(*map(self._board.transpose, self._scan.deviations(period)))
 
     def shortest_period(self, allowed: FloatArray) -> FloatArray:
         """Shortest row period (B,) in s such that no deviation exceeds ``allowed`` V (B,), nor at any longer period.
@@ -329,7 +329,7 @@ def _each_cell(design: Design, values: FloatArray, count: int) -> FloatArray:
     """(B, rows, columns) of values of the columns of each grid."""
     board = design.board
     grids = values.reshape(count, -1, values.shape[-1])
-    return board.turn(np.broadcast_to(grids, (count, *board.shape)))
+    return board.transpose(np.broadcast_to(grids, (count, *board.shape)))
 
 
 class _Loops(NamedTuple):

@@ -88,7 +88,7 @@ def _dynamic(design: Design, cells: FloatArray) -> list[Row]:
 
 def _of_line(design: Design, values: FloatArray, line: int) -> FloatArray:
     """Values (rows, columns) while one driven line is selected, (sensed lines,)."""
-    return values[:, line] if design.board.turned else values[line]
+    return values[:, line] if design.board.transposed else values[line]
 
 
 def _compared(name: str, ours: FloatArray, its: FloatArray, design: Design) -> Row:
