@@ -4,10 +4,10 @@ A scene of fingers that wander over a skin is turned into packets beforehand, wi
 reader of a :class:`ohmskin.driver.Skin` then takes every frame with its validity, pressure and standard deviation, from
 a port in memory, and waits for each. The processor time of that is what frames per second are stated from.
 
-The same packets go through the stages alone, in turn with the skin: packets (:mod:`ohmskin.wire`), counts to ohms
-(:class:`ohmskin.driver.CountReader`), ohms to kPa (an estimator of the cell). Standard deviations are
-computed when the reader asks for them, and timed there. The rest is the skin's: numbering and
-timing of frames, and hand-over between threads.
+The same packets go through the stages alone: packets (:mod:`ohmskin.wire`), counts to ohms
+(:class:`ohmskin.driver.CountReader`), ohms to kPa (an estimator of the cell). Standard deviations and contacts are
+computed when the reader asks for them. The rest is the skin's: numbering and timing of frames, and hand-over between
+threads.
 
 :func:`driver` goes through the boards, with the default estimator; :func:`live_estimators` through the estimators, on
 one kind of board.
@@ -18,7 +18,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from time import process_time
 from types import MappingProxyType
@@ -26,10 +26,10 @@ from typing import Any
 
 import numpy as np
 
-from ..cell import ESTIMATORS, Cell, rehearsed
+from ..cell import ESTIMATORS, Cell, Estimator, rehearsed
 from ..circuits import Design, adc_codes, scan_batch
-from ..common.arrays import CodeArray, FloatArray
-from ..driver import CountReader, Skin
+from ..common.arrays import BoolArray, CodeArray, FloatArray
+from ..driver import CountReader, Frame, Skin
 from ..errors import InputError
 from ..wire import FramePacket, host_protocol
 from ._paced_port import PacedPort, frame_packets
@@ -90,6 +90,8 @@ class Row(OnBoard):
     """standard deviations, which are computed when the reader asks for them"""
     skin_us: float = field(metadata=column("skin us", "{:.0f}"))
     """the rest of what the reader waits for"""
+    contacts_us: float = field(metadata=column("contacts", "{:.0f}"))
+    """besides, of a reader who asks for contacts"""
     worst_frame: float = field(metadata=column("worst", "{:.1f}"))
     """processor time of the slowest frame through the skin, in medians; the first ten frames are left out"""
     valid_percent: float = field(metadata=column("valid, %", "{:.1f}"))
@@ -190,35 +192,19 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
         places = np.random.default_rng(1).choice(cells[0].size, saturated, replace=False)
         cells.reshape(frames, -1)[:, places] = HARD_OHM
     packets = packets_of(board, cells)
-    decode, read = host_protocol("ohmskin"), CountReader(board)
-    estimator = cell.estimator(board.array.shape, name)
-    times = np.empty((frames, 5))
-    found_ohm, valid = np.empty_like(cells), np.empty(cells.shape, dtype=np.bool_)
-    found_kpa = np.empty_like(cells)
-    port = port_of(packets, board)
-    with every_frame(port, board, cell, name) as skin, _old_objects_kept():
-        for number, packet in enumerate(packets):
-            start = process_time()
-            (event,) = decode.feed(packet, number / FRAME_RATE_HZ)
-            assert isinstance(event, FramePacket)
-            decoded = process_time()
-            reading = read(event.counts)
-            solved = process_time()
-            estimator.update(1.0 / FRAME_RATE_HZ if number else 0.0, reading)
-            estimated = process_time()
-            port.work(APART_S)  # the next frame comes
-            taking = process_time()
-            frame = skin.read(0.0)
-            taken = process_time()
-            _ = frame.pressure_std
-            asked = process_time()
-            times[number] = decoded - start, solved - decoded, estimated - solved, asked - taken, asked - taking
-            found_ohm[number], valid[number], found_kpa[number] = frame.resistance, frame.valid, frame.pressure
-    whole = times[:, 4]
+    decode_s, ohms_s, kpa_s = np.median(_stages(packets, board, cell.estimator(board.array.shape, name)), axis=0)
+    read: list[tuple[FloatArray, BoolArray, FloatArray]] = []
+    times = np.empty((frames, 2))
+    for number, (frame, *spent) in enumerate(taken(packets, board, cell, name)):
+        read.append((frame.resistance, frame.valid, frame.pressure))
+        times[number] = spent
+    asking = taken(packets, board, cell, name, ask=lambda frame: (frame.pressure_std, frame.contacts))
+    with_contacts = np.array([sum(spent) for _, *spent in asking])
+    whole, std_s = times.sum(axis=1), float(np.median(times[:, 1]))
     usual = float(np.median(whole))
+    found_ohm, valid, found_kpa = (np.array(part) for part in zip(*read, strict=True))
     off_ohm = np.abs(found_ohm / cells - 1.0)[valid]
     off_kpa = (found_kpa - pressure)[valid]
-    decode_s, ohms_s, kpa_s, std_s, _ = (float(part) for part in np.median(times, axis=0))
     return Row(
         *described(board),
         saturated_cells=saturated,
@@ -230,12 +216,52 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
         kpa_us=1e6 * kpa_s,
         std_us=1e6 * std_s,
         skin_us=1e6 * max(usual - decode_s - ohms_s - kpa_s - std_s, 0.0),
+        contacts_us=1e6 * max(float(np.median(with_contacts)) - usual, 0.0),
         worst_frame=float(whole[10:].max()) / usual,
         valid_percent=100.0 * float(valid.mean()),
         worst_ohm_error_percent=100.0 * float(off_ohm.max(initial=0.0)),
         rmse_kpa=float(np.sqrt(np.mean(off_kpa**2))) if off_kpa.size else np.nan,
         worst_kpa=float(np.abs(off_kpa).max(initial=0.0)),
     )
+
+
+def _stages(packets: list[bytes], board: Design, estimator: Estimator) -> FloatArray:
+    """(frames, 3) processor time in s of each frame's packet, counts to ohms, and ohms to kPa."""
+    decode, read, times = host_protocol("ohmskin"), CountReader(board), np.empty((len(packets), 3))
+    with _old_objects_kept():
+        for number, packet in enumerate(packets):
+            start = process_time()
+            (event,) = decode.feed(packet, number / FRAME_RATE_HZ)
+            assert isinstance(event, FramePacket)
+            decoded = process_time()
+            reading = read(event.counts)
+            solved = process_time()
+            estimator.update(1.0 / FRAME_RATE_HZ if number else 0.0, reading)
+            times[number] = decoded - start, solved - decoded, process_time() - solved
+    return times
+
+
+def taken(
+    packets: list[bytes],
+    board: Design,
+    cell: Cell,
+    name: str | None = None,
+    *,
+    ask: Callable[[Frame], object] = lambda frame: frame.pressure_std,
+) -> Iterator[tuple[Frame, float, float]]:
+    """Every frame that a reader of a skin gets of these packets, with two processor times in s.
+
+    The first is that of taking it, the second that of what ``ask`` wants to know of it.
+    """
+    port = port_of(packets, board)
+    with every_frame(port, board, cell, name) as skin, _old_objects_kept():
+        for _ in packets:
+            port.work(APART_S)  # the next frame comes
+            start = process_time()
+            frame = skin.read(0.0)
+            came = process_time()
+            ask(frame)
+            yield frame, came - start, process_time() - came
 
 
 @contextlib.contextmanager
@@ -290,7 +316,7 @@ def pressed(shape: tuple[int, int], frames: int) -> tuple[FloatArray, FloatArray
 
 
 def packets_of(
-    board: Design, cells: FloatArray, *, frames: int | None = None, each: int = 1, rate_hz: float = FRAME_RATE_HZ
+    board: Design, cells: FloatArray, *, frames: int | None = None, rate_hz: float = FRAME_RATE_HZ
 ) -> list[bytes]:
     """The board's packets at so many frames a second.
 
@@ -298,13 +324,11 @@ def packets_of(
         board: with an ADC.
         cells: (frames, rows, columns) ohm.
         frames: number of packets; beyond ``cells``, these are repeated. None: one for each.
-        each: packets in a row with the same cells and noise.
         rate_hz: of the packets.
 
     """
     codes = counts_of(board, cells)
-    numbers = range(len(codes) if frames is None else frames)
-    return frame_packets((codes[number // each % len(codes)] for number in numbers), rate_hz)
+    return frame_packets((codes[k % len(codes)] for k in range(len(codes) if frames is None else frames)), rate_hz)
 
 
 def counts_of(board: Design, cells: FloatArray) -> CodeArray:

@@ -75,7 +75,7 @@ def stream(family: str, number: int) -> LiveStream | None:
     cells, noise_steps, counts = _cells(draw, design), _noise(draw), []
     for frame, noise in zip(cells, noise_steps, strict=True):
         try:
-            volts = scan(design, frame).volts
+            volts = scan(design, frame, method="exact").volts
         except SolverError:
             return None
         counts.append(adc_codes(design, volts + draw.normal(scale=noise * design.adc.step, size=volts.shape)))

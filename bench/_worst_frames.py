@@ -1,41 +1,26 @@
-"""Longest calls of the live recovery: what sudden changes cost on every kind of board, in usual frames.
+"""Longest frames of the live path: what sudden changes cost on every kind of board, in usual frames.
 
 The driver promises that a frame never costs more than ten usual ones. Fingers that wander over the skin give the usual
 frame (median), and each of :func:`_events` changes much at once. The recovery is deterministic. Each stream is
 therefore read twice, and of each frame the shorter processor time counts, so that a loaded machine does not.
 
 A skin that has rested costs less than one with fingers. What it costs to wake it, all cells at once, is stated in usual
-frames of the resting skin, packets to kPa with standard deviations.
+frames of the resting skin.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from time import process_time
 from typing import Any
 
 import numpy as np
 
-from ..cell import Cell, Estimator
+from ..cell import Cell
 from ..circuits import Design
-from ..common.arrays import CodeArray, FloatArray
-from ..driver import CountReader
-from ._driver import (
-    APART_S,
-    FRAME_RATE_HZ,
-    HARD_OHM,
-    LARGEST_FLOATING,
-    OnBoard,
-    counts_of,
-    described,
-    design,
-    every_frame,
-    packets_of,
-    port_of,
-    pressed,
-)
-from .harness import column, timed
+from ..common.arrays import FloatArray
+from ._driver import HARD_OHM, LARGEST_FLOATING, OnBoard, described, design, packets_of, pressed, taken
+from .harness import column
 
 LIMIT = 10.0
 """usual frames that a frame may cost"""
@@ -72,7 +57,7 @@ CASES: tuple[tuple[str, str, str, float, int, int], ...] = (
 """circuit, idle rows, idle columns, ohm of a line's segment, ADC bits, columns over rows"""
 
 HEAD = (
-    f"longest call, counts to kPa, in usual frames of the same board, at most {LIMIT:g}; the first frame of all apart; "
+    f"longest frame of a skin, in usual frames of the same board, at most {LIMIT:g}; the first one of all apart; "
     f"pressed as a whole from rest ({HOLD}, {TAP}) in usual frames of a reader of the skin at rest"
 )
 
@@ -88,7 +73,7 @@ class WorstFrames(OnBoard):
     first_ms: float = field(metadata=column("first ms", "{:.1f}"))
     """processor time of the first frame of all"""
     usual_us: float = field(metadata=column("usual us", "{:.0f}"))
-    """median processor time of a frame with wandering fingers, counts to kPa by the default estimator"""
+    """median processor time of a frame with wandering fingers"""
     wandering: float = field(metadata=column("fingers", "{:.1f}"))
     """longest of these frames, in usual ones"""
     events: dict[str, float] = field(metadata=column("{}", "{:.1f}"))
@@ -162,27 +147,12 @@ def _events(rest: FloatArray, draw: np.random.Generator) -> dict[str, FloatArray
 def _woken(board: Design, lasts: int) -> float:
     """Longest frame after a sleeping skin is pressed as a whole for so many frames, in usual frames of it at rest."""
     rest = np.full(board.array.shape, REST_OHM)
-    packets = packets_of(board, np.array([rest] * ASLEEP + [WAKES * rest] * lasts + [rest] * AFTER))
-    times = np.full(len(packets), np.inf)
-    for _ in range(2):
-        port = port_of(packets, board)
-        with every_frame(port, board, Cell.example(), None) as skin:
-            for number in range(len(packets)):
-                port.work(APART_S)
-                start = process_time()
-                _ = skin.read(0.0).pressure_std
-                times[number] = min(times[number], process_time() - start)
+    times = _times(board, np.array([rest] * ASLEEP + [WAKES * rest] * lasts + [rest] * AFTER))
     return float(times[ASLEEP:].max() / np.median(times[SETTLING:ASLEEP]))
 
 
 def _times(board: Design, frames: FloatArray) -> FloatArray:
-    """Processor time in s of each frame of cells (frames, rows, columns) in ohm."""
-    counts, times = counts_of(board, frames), np.full(len(frames), np.inf)
-    for _ in range(2):
-        read, estimator = CountReader(board), Cell.example().estimator(board.array.shape)
-
-        def step(codes: CodeArray, by: CountReader = read, to: Estimator = estimator) -> None:
-            to.step(1.0 / FRAME_RATE_HZ, by(codes).resistance)
-
-        times = np.minimum(times, timed(step, counts))
-    return times
+    """Processor time in s of each frame of cells (frames, rows, columns) in ohm, packets to kPa with deviations."""
+    packets = packets_of(board, frames)
+    twice = np.array([[sum(spent) for _, *spent in taken(packets, board, Cell.example())] for _ in range(2)])
+    return np.asarray(twice.min(axis=0))

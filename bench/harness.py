@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
-from time import monotonic, process_time
+from time import monotonic
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -78,16 +78,6 @@ def _text(value: Any, column: Column) -> str:
     if isinstance(value, (int, float)) and column.unit != 1.0:
         value /= column.unit
     return column.form.format(value)
-
-
-def timed(work: Callable[[Any], object], items: Iterable[Any]) -> FloatArray:
-    """Processor time in s that ``work`` takes for each of the items (n,)."""
-    times = []
-    for item in items:
-        start = process_time()
-        work(item)
-        times.append(process_time() - start)
-    return np.array(times)
 
 
 class Tally(Protocol):

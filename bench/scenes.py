@@ -248,16 +248,11 @@ def _wavering(t: FloatArray, _: float) -> FloatArray:
     return np.asarray(0.6 * held * (1.0 + np.resize([0.01, 0.02, 0.03], CELLS) * here))
 
 
-def _tremor(share: float, until_s: float) -> Callable[[FloatArray, float], FloatArray]:
-    """Holds of 40 % of full scale that tremble at 1.5 to 8 Hz by so much of the load (rms)."""
-
-    def trembles(t: FloatArray, _: float) -> FloatArray:
-        hertz = np.geomspace(1.5, 8.0, CELLS)
-        wave = share * np.sqrt(2) * np.sin(2 * np.pi * hertz * t[:, None] + hertz) * (t > 1.5)[:, None]
-        held = 0.4 * np.interp(t, [1.0, 1.3, until_s, until_s + 0.2], _PRESS)
-        return np.asarray(held[:, None] * (1.0 + wave))
-
-    return trembles
+def _tremor(t: FloatArray, _: float) -> FloatArray:
+    """Holds of 40 % of full scale that tremble at 1.5 to 8 Hz by 2 % of the load (rms)."""
+    hertz = np.geomspace(1.5, 8.0, CELLS)
+    wave = 0.02 * np.sqrt(2) * np.sin(2 * np.pi * hertz * t[:, None] + hertz) * (t > 1.5)[:, None]
+    return np.asarray(0.4 * np.interp(t, [1.0, 1.3, 10.0, 10.2], _PRESS)[:, None] * (1.0 + wave))
 
 
 def _grip_that_trembles(t: FloatArray, _: float) -> FloatArray:
@@ -301,25 +296,6 @@ def _ten_minutes(t: FloatArray, _: float) -> FloatArray:
     return np.asarray(np.interp(t, [2.0, 2.2, 602.0, 602.2], _PRESS)[:, None] * np.linspace(0.3, 0.9, CELLS))
 
 
-_MIXED = tuple(
-    ["hold", "press", "slow ramp", "fast ramp", "sine", "taps", "stairs", "quick taps", "random", "walking", "slip"]
-)
-_MIXED_S = 15.0
-
-
-def _mixture(t: FloatArray, frame_s: float) -> FloatArray:
-    """Loads of :data:`_SINGLES` at random for 15 s each, weaker and stronger, now and then with a pause between."""
-    random = np.random.default_rng(11)
-    share = np.zeros((len(t), CELLS))
-    for start_s in np.arange(0.0, float(t[-1]), _MIXED_S):
-        name, strength = random.choice(_MIXED), random.uniform(0.1, 0.95, CELLS) * (random.random(CELLS) < 0.7)
-        during = slice(*np.searchsorted(t, [start_s, start_s + _MIXED_S]))
-        at = t[during, None] - start_s
-        ends = np.clip((_MIXED_S - at - random.choice([0.0, 1.0, 4.0])) / 0.05, 0, 1)
-        share[during] = strength * _SINGLES[name](at - np.linspace(0.0, 0.37, CELLS), frame_s) * ends
-    return share
-
-
 LOADS: dict[str, Load] = {
     **{name: Load(_on_each(single)) for name, single in _SINGLES.items()},
     "finger": Load(_finger),
@@ -336,14 +312,12 @@ LOADS: dict[str, Load] = {
     "relaxing": Load(_relaxing, 14.0),
     "growing after a fall": Load(_growing, 12.5),
     "wavering": Load(_wavering),
-    "tremor of 2 %": Load(_tremor(0.02, 10.0), 12.0),
-    "tremor of 4 % for a minute": Load(_tremor(0.04, 62.0), 65.0),
+    "tremor of 2 %": Load(_tremor, 12.0),
     "grip that trembles": Load(_grip_that_trembles, 27.0),
     "fingers on an array": Load(_fingers_on_an_array, 7.0),
     "finger across an array": Load(_finger_across_an_array),
     "finger that vibrates": Load(_finger_that_vibrates, 12.0),
     "hold of ten minutes": Load(_ten_minutes, 620.0),
-    "mixture of an hour": Load(_mixture, 3600.0),
 }
 
 

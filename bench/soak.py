@@ -17,9 +17,7 @@ import socket
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, cast
@@ -47,12 +45,12 @@ class Endured:
     missing: int
     """frames lost on the way, and stretches that were corrupt"""
     recorded: int
-    shown: int
-    """frames that a browser got; it asks for the next one when it has one"""
     growth_kb: int
     """of memory, since the first tenth of the frames"""
-    threads: int
-    files: int
+    shown: int = 0
+    """frames that a browser got; it asks for the next one when it has one"""
+    threads: int = 0
+    files: int = 0
     """threads and files that are there in the end, and were not in the beginning"""
 
 
@@ -63,89 +61,54 @@ def soak_frames(scene: Scene, frames: int, seed: int = 0) -> Endured:
         MissingExtra: mcap or websockets is not installed.
 
     """
-    before = threading.active_count(), _open_files()
-    arrived = lost = early_kb = 0
+    threads, files = threading.active_count(), _open_files()
     with tempfile.TemporaryDirectory() as folder, PtyPort() as port, running(scene, port, clock="fast", seed=seed):
         path = Path(folder) / "soak.mcap"
         skin = Skin.open(port.name, delivery="lossless", record=path, timeout=PATIENCE_S)
-        with _browser(LiveSource(skin)) as browser:
-            for frame in islice(skin, frames):  # the page shares this place in the stream: lossless waits for it
-                arrived += 1
-                lost += frame.lost_before or 0
-                if not early_kb and arrived >= frames // 10:
-                    early_kb = resident_kb()
-            growth_kb = resident_kb() - early_kb
-            stats, recorder = skin.stats(), skin.recorder
-        assert recorder is not None
-        if recorder.error is not None:
-            raise recorder.error
-        recorded = recorder.frames
-    return Endured(
-        arrived,
-        lost + stats.corrupt,
-        recorded,
-        browser.shown,
-        growth_kb,
-        threading.active_count() - before[0],
-        _open_files() - before[1],
-    )
+        found, shown = asyncio.run(_carried(skin, frames))
+    return replace(found, shown=shown, threads=threading.active_count() - threads, files=_open_files() - files)
 
 
-class _Browser:
-    """Asks the page of a skin for one frame after the other."""
+async def _carried(skin: Skin, frames: int) -> tuple[Endured, int]:
+    """What a reader of the skin got, beside a page at which a browser looks, and how many frames the browser got."""
+    with LiveSource(skin) as source:
+        async with serve(source) as page:
+            browser = asyncio.create_task(_followed(page.url))
+            found = await asyncio.to_thread(_taken, skin, frames)
+    return found, await browser
 
-    def __init__(self) -> None:
-        self.shown = 0
 
-    def follow(self, url: str) -> None:
-        """Until the page ends."""
-        from websockets.exceptions import ConnectionClosed
-        from websockets.sync.client import connect
+def _taken(skin: Skin, frames: int) -> Endured:
+    arrived = lost = early_kb = 0
+    for frame in islice(skin, frames):  # the page shares this place in the stream: lossless waits for it
+        arrived += 1
+        lost += frame.lost_before or 0
+        if not early_kb and arrived >= frames // 10:
+            early_kb = resident_kb()
+    recorder = skin.recorder
+    assert recorder is not None
+    if recorder.error is not None:
+        raise recorder.error
+    return Endured(arrived, lost + skin.stats().corrupt, recorder.frames, resident_kb() - early_kb)
 
-        frames = url.replace("http", "ws", 1) + "frames"
-        after = -1
-        with (
-            contextlib.suppress(ConnectionClosed),
-            connect(frames, origin=cast("Any", url.rstrip("/")), proxy=None, max_size=None) as page,
-        ):
-            page.send(json.dumps({"do": "next", "after": after}))
-            for message in page:
+
+async def _followed(url: str) -> int:
+    """Ask a page for one frame after the other until it ends; how many came."""
+    from websockets.asyncio.client import connect
+    from websockets.exceptions import ConnectionClosed
+
+    shown, after = 0, -1
+    with contextlib.suppress(ConnectionClosed):
+        async with connect(
+            url.replace("http", "ws", 1) + "frames", origin=cast("Any", url.rstrip("/")), proxy=None, max_size=None
+        ) as page:
+            await page.send(json.dumps({"do": "next", "after": after}))
+            async for message in page:
                 if isinstance(message, bytes):
-                    self.shown += 1
+                    shown += 1
                     after = int.from_bytes(message[4:8], "little")
-                    page.send(json.dumps({"do": "next", "after": after}))
-
-
-@contextmanager
-def _browser(source: LiveSource) -> Iterator[_Browser]:
-    """A page of a source, in a thread of its own, and a browser that looks at it."""
-    browser, ready = _Browser(), threading.Event()
-    addresses: list[str] = []
-    loop, stop = asyncio.new_event_loop(), asyncio.Event()
-
-    async def show() -> None:
-        try:
-            with source:
-                async with serve(source) as page:
-                    addresses.append(page.url)
-                    ready.set()
-                    await stop.wait()
-        finally:
-            ready.set()
-            await loop.shutdown_default_executor()
-
-    serving = threading.Thread(target=loop.run_until_complete, args=(show(),))
-    serving.start()
-    ready.wait()
-    following = threading.Thread(target=browser.follow, args=tuple(addresses))
-    following.start()
-    try:
-        yield browser
-    finally:
-        loop.call_soon_threadsafe(stop.set)
-        serving.join()
-        following.join()
-        loop.close()
+                    await page.send(json.dumps({"do": "next", "after": after}))
+    return shown
 
 
 def _open_files() -> int:

@@ -14,10 +14,9 @@ without a word; its own mark is ``noisy=0``.
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
@@ -33,6 +32,8 @@ PINS: tuple[Pin, ...] = ("in+", "in-", "v+", "v-", "out")
 MOST_MODEL_BYTES = 4 * 2**20
 MOST_STATEMENTS = 20_000
 """of a model whose calls are expanded; makers' amplifiers have hundreds"""
+MOST_NESTED = 16
+"""definitions within each other; makers' models have none or one"""
 CARDS = (".subckt", ".ends", ".model", ".param", ".params", ".func", ".if", ".elseif", ".else", ".endif")
 DEVICES = "bcdefghijklmqrstvwxz"
 """First letters of devices; among the others are code models ("a"), which can read files."""
@@ -85,59 +86,75 @@ class AmplifierModel(Section):
         content = read_bytes(path, most_bytes=MOST_MODEL_BYTES).decode("latin-1")
         if _ENCRYPTED.search(content):
             raise InputError(f"{path}: the model is encrypted; expected plain text")
-        cards = [card for card in statements(content, str(path)) if card.words[0] != ".end"]
-        used = self._used(cards, str(path))
-        for card in used:
-            _check_card(card, str(path))
+        used = self._used(list(_within(statements(content, str(path)), str(path))), str(path))
+        for placed in used:
+            _check_card(placed.card, str(path))
         return "\n".join(_without_thermal_noise(used))
 
-    def _used(self, cards: list[Statement], path: str) -> list[Statement]:
-        """The cards of the subcircuit, of those that it calls, and outside of all; libraries have many others."""
-        outside: dict[str, list[str]] = {}
-        calls: dict[str, set[str]] = {}
-        belongs: list[str | None] = []
-        inside: list[str] = []
-        for card in cards:
+    def _used(self, every: list[_Placed], path: str) -> list[_Placed]:
+        """The statements of the subcircuit, of those that it calls, and outside of all; libraries have many others."""
+        pins: dict[str, list[str]] = {}
+        bodies: dict[str, list[Statement]] = {}
+        for card, around in every:
             words = card.words
-            if words[0] == ".subckt":
-                if len(words) < 2:
-                    raise InputError(f"{path}: line {card.line}: a .SUBCKT without a name")
-                if not inside:
-                    outside.setdefault(words[1], _before_parameters(words[2:]))
-                inside.append(words[1])
-            belongs.append(inside[0] if inside else None)
-            if words[0] == ".ends":
-                if not inside:
-                    raise InputError(f"{path}: line {card.line}: .ENDS without .SUBCKT")
-                inside.pop()
-            elif not inside:
+            if not around:
                 _check_card(card, path)
                 if not words[0].startswith("."):
                     raise InputError(
                         f"{path}: line {card.line}: '{shortened(one_line(card.text))}' stands outside a .SUBCKT"
                     )
-            elif words[0].startswith("x"):
-                callee = _before_parameters(words[1:])[-1:]
-                for caller in {inside[0], inside[-1]}:
-                    calls.setdefault(caller, set()).update(callee)
-        if inside:
-            raise InputError(f"{path}: .SUBCKT {one_line(inside[-1])} has no .ENDS")
+            elif words[0] == ".subckt" and len(around) == 1:
+                pins.setdefault(words[1], _before_parameters(words[2:]))
+            elif words[0] not in (".subckt", ".ends"):
+                for name in {around[0].name, around[-1].name}:
+                    bodies.setdefault(name, []).append(card)  # of definitions with one name, all count
         name = self.subcircuit.lower()
-        if name not in outside:
-            known = ", ".join(sorted(outside)) or "none"
+        if name not in pins:
+            known = ", ".join(sorted(pins)) or "none"
             raise InputError(f"{path}: no .SUBCKT {self.subcircuit}; the file has {shortened(one_line(known), 100)}")
-        if len(outside[name]) != len(self.pins):
+        if len(pins[name]) != len(self.pins):
             raise InputError(
-                f"{path}: .SUBCKT {self.subcircuit} has {len(outside[name])} pins "
-                f"({shortened(one_line(' '.join(outside[name])))}), but readout.amplifier_model.pins names "
+                f"{path}: .SUBCKT {self.subcircuit} has {len(pins[name])} pins "
+                f"({shortened(one_line(' '.join(pins[name])))}), but readout.amplifier_model.pins names "
                 f"{len(self.pins)}"
             )
-        reached = _reached(name, calls, path)
-        used = [card for card, owner in zip(cards, belongs, strict=True) if owner is None or owner in reached]
-        if (whole := _expanded(used, reached)) > MOST_STATEMENTS:
-            what = f"{path}: .SUBCKT {self.subcircuit} with all that it calls"
-            raise InputError(f"{what} has {whole:.3g} statements; expected at most {MOST_STATEMENTS}")
-        return used
+        reached = _reached(name, bodies, path)
+        return [placed for placed in every if not placed.around or placed.around[0].name in reached]
+
+
+class _Scope(NamedTuple):
+    """One .SUBCKT."""
+
+    line: int
+    name: str
+
+
+class _Placed(NamedTuple):
+    """A statement, and the .SUBCKTs around it from the outermost one on; its own .SUBCKT and .ENDS lines are within."""
+
+    card: Statement
+    around: tuple[_Scope, ...]
+
+
+def _within(cards: Iterable[Statement], path: str) -> Iterator[_Placed]:
+    around: tuple[_Scope, ...] = ()
+    for card in cards:
+        words = card.words
+        if words[0] == ".subckt":
+            if len(words) < 2:
+                raise InputError(f"{path}: line {card.line}: a .SUBCKT without a name")
+            if len(around) == MOST_NESTED:
+                raise InputError(
+                    f"{path}: line {card.line}: .SUBCKTs within each other; expected at most {MOST_NESTED}"
+                )
+            around = (*around, _Scope(card.line, words[1]))
+        if words[0] == ".ends" and not around:
+            raise InputError(f"{path}: line {card.line}: .ENDS without .SUBCKT")
+        if words[0] != ".end":
+            yield _Placed(card, around)
+        around = around[:-1] if words[0] == ".ends" else around
+    if around:
+        raise InputError(f"{path}: .SUBCKT {one_line(around[-1].name)} has no .ENDS")
 
 
 def _check_card(card: Statement, path: str) -> None:
@@ -171,41 +188,28 @@ def _check_model_type(card: Statement, where: str, shown: str) -> None:
         raise InputError(f"{where}: '{shown}': unknown type of model; expected one of {', '.join(MODEL_TYPES)}")
 
 
-def _without_thermal_noise(cards: list[Statement]) -> Iterator[str]:
+def _without_thermal_noise(every: list[_Placed]) -> Iterator[str]:
     """The statements, with ``noisy=0`` on resistors whose model has a temperature of zero kelvin."""
-    scopes = _resistor_models(cards)
-    inside: list[int] = []
-    for number, card in enumerate(cards):
-        first, text = card.words[0], card.text
-        if first == ".subckt":
-            inside.append(number)
-        elif first == ".ends":
-            inside.pop()
-        elif first == ".model" and (found := _ABSOLUTE.search(text)) and float(found[1]) <= _NOISELESS_CELSIUS:
+    noiseless: dict[tuple[tuple[_Scope, ...], str], bool] = {}
+    for card, around in every:
+        words = card.text.lower().replace("(", " ").split()
+        if words[0] == ".model" and words[2] in ("r", "res"):
+            noiseless[around, words[1]] = _is_noiseless(card.text)
+    for card, around in every:
+        text = card.text
+        if card.words[0] == ".model" and _is_noiseless(text):
             text = _ABSOLUTE.sub("", text, count=1)
-        elif first[0] == "r":
+        elif card.words[0].startswith("r"):
             # The nearest model of that name counts, as in ngspice.
-            known = (scopes.get(scope, {}).get(word) for word in card.words[3:5] for scope in (*reversed(inside), None))
-            if next((noiseless for noiseless in known if noiseless is not None), False):
+            places = [(around[:depth], word) for word in card.words[3:5] for depth in reversed(range(len(around) + 1))]
+            if next((noiseless[place] for place in places if place in noiseless), False):
                 text = f"{text} noisy=0"
         yield text
 
 
-def _resistor_models(cards: list[Statement]) -> dict[int | None, dict[str, bool]]:
-    """Whether models of resistors are without noise, by name, for each .SUBCKT by its place; None: outside of all."""
-    scopes: dict[int | None, dict[str, bool]] = {}
-    inside: list[int | None] = [None]
-    for number, card in enumerate(cards):
-        words = card.text.lower().replace("(", " ").split()
-        if words[0] == ".subckt":
-            inside.append(number)
-        elif words[0] == ".ends":
-            inside.pop()
-        elif words[0] == ".model" and words[2] in ("r", "res"):
-            found = _ABSOLUTE.search(card.text)
-            noiseless = found is not None and float(found[1]) <= _NOISELESS_CELSIUS
-            scopes.setdefault(inside[-1], {})[words[1]] = noiseless
-    return scopes
+def _is_noiseless(model: str) -> bool:
+    found = _ABSOLUTE.search(model)
+    return found is not None and float(found[1]) <= _NOISELESS_CELSIUS
 
 
 def _before_parameters(words: list[str]) -> list[str]:
@@ -218,49 +222,30 @@ def _before_parameters(words: list[str]) -> list[str]:
     return found
 
 
-def _expanded(cards: list[Statement], reached: Iterable[str]) -> float:
-    """Statements of the last of the subcircuits when all calls in it are replaced by what they call.
+def _reached(name: str, bodies: Mapping[str, list[Statement]], path: str) -> set[str]:
+    """The subcircuit and all that it calls.
 
-    Args:
-        cards: of all of them. Of definitions with one name the largest counts.
-        reached: names, each behind those that it calls.
+    The calls are followed as ngspice expands them.
+
+    Raises:
+        InputError: a subcircuit that contains itself, or one that expands to more than :data:`MOST_STATEMENTS`.
 
     """
-    definitions: dict[str, list[Counter[str | None]]] = {}
-    inside: list[Counter[str | None]] = []
-    for card in cards:
-        words = card.words
-        if words[0] == ".subckt":
-            inside.append(Counter())
-            definitions.setdefault(words[1], []).append(inside[-1])
-        elif words[0] == ".ends":
-            inside.pop()
-        elif inside:
-            called = _before_parameters(words[1:])[-1:] if words[0].startswith("x") else []
-            inside[-1].update([None, *called])
-    whole: dict[str | None, float] = {None: 1.0}
-    for name in reached:
-        whole[name] = max(
-            (sum(count * whole.get(part, 0.0) for part, count in parts.items()) for parts in definitions.get(name, [])),
-            default=0.0,
-        )
-    return list(whole.values())[-1]
-
-
-def _reached(name: str, calls: dict[str, set[str]], path: str) -> dict[str, None]:
-    """The subcircuit and all that it calls, which come before it. Raises InputError for one that contains itself, which
-    ngspice would expand until memory ends.
-    """
-    finished: dict[str, None] = {}
-    stack = [(name, iter(sorted(calls.get(name, ()))))]
-    while stack:
-        current, pending = stack[-1]
-        callee = next(pending, None)
-        if callee is None:
-            finished[current] = None
-            stack.pop()
-        elif callee in [above for above, _ in stack]:
-            raise InputError(f"{path}: .SUBCKT {one_line(callee)} contains itself")
-        elif callee not in finished:
-            stack.append((callee, iter(sorted(calls.get(callee, ())))))
-    return finished
+    reached, count = {name}, 0
+    above = {name: iter(bodies.get(name, ()))}
+    while above:
+        current, pending = next(reversed(above.items()))
+        card = next(pending, None)
+        if card is None:
+            del above[current]
+            continue
+        count += 1
+        if count > MOST_STATEMENTS:
+            what = f"{path}: .SUBCKT {one_line(name)} with all that it calls"
+            raise InputError(f"{what} has too many statements; expected at most {MOST_STATEMENTS}")
+        for callee in _before_parameters(card.words[1:])[-1:] if card.words[0].startswith("x") else ():
+            if callee in above:
+                raise InputError(f"{path}: .SUBCKT {one_line(callee)} contains itself")
+            reached.add(callee)
+            above[callee] = iter(bodies.get(callee, ()))
+    return reached

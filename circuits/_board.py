@@ -6,20 +6,36 @@ are in line coordinates, which :mod:`._parts` explains.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from math import inf
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.arrays import FloatArray
+from ..common.config import Section
 from ._parts import Parts
 from ._readout import Readout
-from ._sections import Adc, Array, Drive, Fault, PerLine, Sheet
-from .ends import GROUND, LINE, OUT, REF, Card, ColumnEnd, Crosspoint, LineEnds, Network, Reference, RowEnd, amplifier
+from ._sections import Adc, Array, Drive, Fault, Sheet
+from .ends import (
+    GROUND,
+    LINE,
+    OUT,
+    REF,
+    Card,
+    ColumnEnd,
+    Crosspoint,
+    LineEnds,
+    Network,
+    Reference,
+    RowEnd,
+    Rows,
+    amplifier,
+)
 from .readouts import CIRCUITS, LinearReadout, ReadoutCircuit, networks
 
 
@@ -62,44 +78,55 @@ class Board(Parts):
     """None: the outputs are not converted"""
 
     @classmethod
-    def of(cls, design: Sections, *, by_nodes: bool = False) -> Board:
+    def of(cls, design: Sections, *, by_nodes: bool = False, values: Mapping[str, FloatArray] | None = None) -> Board:
         """Expand a design. Users take ``design.board``, which keeps the result.
 
-        With ``by_nodes`` the lines end in networks, even where they are Thevenin equivalents or the design names none.
+        Args:
+            design: any.
+            by_nodes: the lines end in networks, even where they are Thevenin equivalents or the design names none.
+            values: (S, lines) or (S, 1) of parts, by their keys in the design: a stack, of a design without networks.
+
         """
         array, drive, readout, faults = design.array, design.drive, design.readout, design.fault
         circuit = CIRCUITS[readout.circuit]
         transposed = circuit.senses == "rows"
-        row_keys, column_keys = (array.row_lead, array.row_segment), (array.column_lead, array.column_segment)
-        driven, sensed = (column_keys, row_keys) if transposed else (row_keys, column_keys)
+        driven, sensed = ("column", "row") if transposed else ("row", "column")
         rows, columns = array.shape[::-1] if transposed else array.shape
 
-        def each(value: PerLine, count: int) -> FloatArray:
-            lines: FloatArray = np.full(count, value, dtype=np.float64)
-            return lines[::-1] if transposed else lines
+        def each(section: Section, key: str, count: int) -> FloatArray:
+            given = np.asarray(getattr(section, key) if values is None else values[key], dtype=np.float64)
+            lines = np.broadcast_to(given, (*given.shape[:-1], count))
+            return np.array(lines[..., ::-1] if transposed else lines)
+
+        def across(section: Section, key: str) -> FloatArray:
+            ends = each(section, key, columns)
+            return ends if values is None else ends[:, None]
+
+        def single(section: Section, key: str) -> Any:
+            return getattr(section, key) if values is None else values[key][..., None]
 
         if transposed:
             faults = tuple(_transposed_fault(fault, array.shape) for fault in faults)
         severed = series_ohms(faults, "broken-column", (rows, columns))
-        row_ohms = np.repeat(each(driven[1], rows)[:, None], columns, axis=1)
-        row_lead = each(driven[0], rows)
-        row_ohms[:, 0] = row_lead
-        column_ohms = np.repeat(each(sensed[1], columns)[None], rows, axis=0)
-        column_ohms[0] = 0.0
-        column_ohms[1:] += severed[:-1]
+        row_ohms = np.repeat(each(array, f"{driven}_segment", rows)[..., None], columns, axis=-1)
+        row_lead = each(array, f"{driven}_lead", rows)
+        row_ohms[..., 0] = row_lead
+        column_ohms = np.repeat(each(array, f"{sensed}_segment", columns)[..., None, :], rows, axis=-2)
+        column_ohms[..., 0, :] = 0.0
+        column_ohms[..., 1:, :] += severed[:-1]
         board = cls(
             shape=(rows, columns),
             row_ohms=row_ohms + series_ohms(faults, "broken-row", (rows, columns)),
             column_ohms=column_ohms,
-            column_lead=each(sensed[0], columns) + severed[-1],
+            column_lead=across(array, f"{sensed}_lead") + severed[-1],
             series_ohms=series_ohms(faults, "open-cell", (rows, columns)),
             faults=faults,
-            reference=each(readout.reference_resistance, columns),
-            gain=each(readout.open_loop_gain, columns),
-            offset=each(readout.offset_voltage, columns),
-            bias=each(readout.bias_current, columns),
-            drive=drive.voltage,
-            level=readout.reference_voltage,
+            reference=across(readout, "reference_resistance"),
+            gain=across(readout, "open_loop_gain"),
+            offset=across(readout, "offset_voltage"),
+            bias=across(readout, "bias_current"),
+            drive=single(drive, "voltage"),
+            level=single(readout, "reference_voltage"),
             supply=readout.supply,
             transposed=transposed,
             floating=drive.idle_rows != "ground" and not circuit.drives_idle_lines,
@@ -112,6 +139,7 @@ class Board(Parts):
             described=None,
             continuous=array.sheet == "continuous",
             sheet=design.sheet,
+            steps=None,
             circuit=circuit,
             readout=readout,
             adc=design.adc,
@@ -132,32 +160,21 @@ class Board(Parts):
 def _with_networks(board: Board, design: Sections, *, by_nodes: bool) -> Board:
     """The board with the networks of the design at its lines, and those that its other keys stand for."""
     ends = _line_ends(board, design)
-    floating, pull, lead = board.floating, board.pull, board.row_lead
-    drive, datum = board.drive, Fraction(board.level)
-    columns = None
+    rows = columns = None
     if ends.is_apart and not by_nodes:
-        rows = None
-        if design.row_end is not None:
-            rows = ends.rows(ends.rest())
-            if rows is not None:
-                floating, pull, lead, drive, datum = rows.floating, rows.pull, rows.lead, rows.drive, rows.datum
-        if rows is not None or design.row_end is None:
-            columns = ends.columns(datum)
-    if columns is None:  # each row's step is a network of its own, whose ends are not of the grid
-        floating, pull, lead = True, inf, np.zeros(board.shape[0])
-        if design.row_end is None and board.pulled:
-            lead = -board.row_lead  # among the parts of the ends
-        if design.crosspoint is not None:
-            lead = -board.row_ohms[:, 0]
-    own_lead = np.zeros_like(lead) if design.row_end is None and columns is not None else lead
+        rows = ends.rows(Fraction(board.level) if design.row_end is None else ends.rest())
+        columns = None if rows is None else ends.columns(rows.datum)
+    drive = board.drive if rows is None else rows.drive
+    if rows is None or columns is None:  # each row's step is a network of its own, whose ends are not of the grid
+        rows = Rows(np.zeros(board.shape[0]), inf, True, drive, Fraction(0))
     row_ohms = board.row_ohms.copy()
-    row_ohms[:, 0] += own_lead
+    row_ohms[:, 0] += rows.lead - _leads_in_ends(board, design)
     described = replace(
         board,
         row_ohms=row_ohms,
-        row_lead=lead if columns is not None and (design.row_end is not None or board.pulled) else np.zeros_like(lead),
-        floating=floating,
-        pull=pull,
+        row_lead=rows.lead,
+        floating=rows.floating,
+        pull=rows.pull,
         drive=drive,
         gain=np.full(board.shape[1], inf),
         offset=np.zeros(board.shape[1]),
@@ -200,11 +217,19 @@ def _line_ends(board: Board, design: Sections) -> LineEnds:
     reference = () if design.reference is None else design.reference.lines("parts", 1)[0]
     if design.crosspoint is None:
         return LineEnds(selected, idle, read, unread, shared, reference, board.level)
-    # The ports of a grid with ideal lines are then its cells alone, and the rows' leads are parts of their ends.
-    leads = np.zeros(rows) if board.pulled and row_end is None else board.row_ohms[:, 0]
+    leads = np.zeros(rows) if board.pulled and row_end is None else _leads_in_ends(board, design)
     selected, idle = (tuple(map(_behind_lead, ends, leads.tolist())) for ends in (selected, idle))
     crosspoint = design.crosspoint.lines("parts", 1)[0]
     return LineEnds(selected, idle, read, unread, shared, reference, board.level, crosspoint)
+
+
+def _leads_in_ends(board: Board, design: Sections) -> FloatArray:
+    """(N,) ohm of the rows' leads that are parts of their ends: ahead of pull-downs, and where the ports of a grid with
+    ideal lines have to be its cells alone.
+    """
+    if design.crosspoint is not None:
+        return board.row_ohms[:, 0]
+    return board.row_lead if board.pulled and design.row_end is None else np.zeros(board.shape[0])
 
 
 def _followed(board: Board) -> LineEnds:
@@ -213,13 +238,10 @@ def _followed(board: Board) -> LineEnds:
     zero = "level" if board.level else GROUND
     level = (Card("VLEVEL", (zero, GROUND), board.level),) if board.level else ()
     idle = (Card("VIDLE", (LINE, REF), 0.0),)
-    low, high = board.supply
     read = []
-    for ohm, gain, offset, bias in zip(board.reference, board.gain, board.offset, board.bias, strict=True):
-        follower = amplifier(
-            *(LINE, OUT, OUT), open_loop_gain=float(gain), offset_voltage=float(offset), low=low, high=high
-        )
-        load = Card("RREF", (LINE, zero), float(ohm)), Card("IBIAS", (LINE, zero), float(bias))
+    for j, (ohm, bias) in enumerate(zip(board.reference.tolist(), board.bias.tolist(), strict=True)):
+        load = Card("RREF", (LINE, zero), ohm), Card("IBIAS", (LINE, zero), bias)
+        follower = _amplifier(board, j, (LINE, OUT, OUT), bias_current=0.0)  # on its own card: the input is the load's
         read.append((*level, *load, follower, Card("VOUT", (OUT, REF), 0.0)))
     drive = (*level, Card("VDRIVE", (LINE, zero), board.drive))
     nothing = (Card("IREF", (REF, GROUND), 0.0),)  # the node is one for all lines
@@ -248,22 +270,11 @@ def _named_rows(board: Board, ref: str) -> tuple[tuple[Network, ...], tuple[Netw
 
 def _named_columns(board: Board, ref: str) -> tuple[tuple[Network, ...], tuple[Network, ...]]:
     """The networks that ``[readout]`` stands for, of an end while it has its turn and of an idle column."""
-    low, high = board.supply
     read: list[Network] = []
     unread: list[Network] = []
     for j, ohm in enumerate(board.reference.tolist()):
         load = Card("RREF", ("line", "out" if board.circuit.virtual_ground else ref), ohm)
-        amplified = amplifier(
-            *(ref, "line", "out"),
-            open_loop_gain=float(board.gain[j]),
-            offset_voltage=float(board.offset[j]),
-            bias_current=float(board.bias[j]),
-            gain_bandwidth=board.readout.gain_bandwidth,
-            voltage_noise=board.readout.voltage_noise,
-            current_noise=board.readout.current_noise,
-            low=low,
-            high=high,
-        )
+        amplified = _amplifier(board, j, (ref, "line", "out"))
         feedback = Card("CREF", load.nodes, board.readout.feedback_capacitance)
         read.append((load, feedback, amplified) if board.circuit.virtual_ground else (load,))
         match board.idle_columns:
@@ -274,6 +285,17 @@ def _named_columns(board: Board, ref: str) -> tuple[tuple[Network, ...], tuple[N
             case "load":
                 unread.append((Card("RIDLE", ("line", ref), ohm),))
     return tuple(read), tuple(unread)
+
+
+def _amplifier(board: Board, column: int, nodes: tuple[str, str, str], **keys: float) -> Card:
+    """The amplifier of a column between its inputs (+ and -) and its output."""
+    part = board.readout
+    own = {"open_loop_gain": board.gain, "offset_voltage": board.offset, "bias_current": board.bias}
+    given = {key: float(values[column]) for key, values in own.items()}
+    given |= {key: getattr(part, key) for key in ("gain_bandwidth", "voltage_noise", "current_noise")}
+    low, high = board.supply
+    plus, minus, out = nodes
+    return amplifier(plus, minus, out, **(given | {"low": low, "high": high} | keys))
 
 
 def cell_alone(board: Board, conductance: FloatArray, shunt: FloatArray) -> FloatArray:

@@ -54,7 +54,7 @@ def _read_linearly(board: Board, linear: LinearReadout, cells: FloatArray) -> tu
     saturated = np.zeros(volts.shape, dtype=np.bool_)
     limited = ~linear.within_supply(volts, error)
     if limited.any():
-        some, error[limited] = _read_ports(board, cells[limited])
+        some, error[limited] = _read_ports(board.some(limited), cells[limited])
         volts[limited], saturated[limited] = some.volts, some.saturated
     return Outputs(volts, saturated), error
 
@@ -69,7 +69,7 @@ def _read_ports(board: Board, cells: FloatArray) -> tuple[Outputs, FloatArray]:
     # Two bounds hold; the second is coarse, but finite where a port has an infinite conductance to the others.
     by_energy = board.circuit.energy_bound(board, ports, moved)
     by_entry = entrywise(np.asarray(moved), _nodes(board)) * reading.magnitude
-    error = np.fmin(by_energy, by_entry) + few * (np.abs(reading.volts) + without_current + reading.cancelled)
+    error = np.fmin(by_energy, by_entry) + few * (np.abs(reading.volts) + without_current + reading.magnitude)
     return Outputs(reading.volts, reading.saturated), error + reading.error
 
 

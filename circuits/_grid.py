@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..errors import SolverError
 from . import _sheet as sheet
 from ._board import Board
+from ._parts import at_any
 from .solvers import LEAST_OHM, Element, Network, Rounded, port_conductances, reduce, siemens
 
 
@@ -36,7 +39,7 @@ def grid_network(board: Board, cells: FloatArray) -> Network:
     cells of a sliced sheet, bridges. Ports: row terminals, then the column lines' last crosspoints. Pull-downs are one
     more column, ahead of the others.
     """
-    rows, columns = board.lines.row.shape
+    rows, columns = board.lines.row.shape[-2:]
     ahead_of_cells = int(board.pulled)
     batch = cells.shape[:-2]
     row_node = rows + np.arange(rows * columns).reshape(rows, columns)
@@ -44,7 +47,8 @@ def grid_network(board: Board, cells: FloatArray) -> Network:
     line = board.lines
     ahead = np.column_stack([np.arange(rows), row_node[:, :-1]])
     ends = [np.stack([ahead, row_node], axis=-1), np.stack([column_node[:-1], column_node[1:]], axis=-1)]
-    values = [np.broadcast_to(part, (*batch, *part.shape)) for part in (line.row, line.column[1:])]
+    along = line.row, line.column[..., 1:, :]
+    values = [np.broadcast_to(part, (*batch, *part.shape[-2:])) for part in along]
     row_at, column_at = np.indices((rows, columns)).reshape(2, -1)
     crosspoints = np.column_stack([row_at, column_at]).astype(np.float64)
     terminals = np.column_stack([np.arange(rows), np.full(rows, -1)]).astype(np.float64)
@@ -97,35 +101,13 @@ def refuse_contradictions(board: Board, cells: FloatArray) -> BoolArray | None:
         (..., N, M) outputs that parts of 0 ohm leave undetermined; None if there are none.
 
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     if cells.min() > LEAST_OHM and not any(fault.ohms <= LEAST_OHM for fault in board.faults):
         return None
-    row, column = np.isinf(board.lines.row), np.isinf(board.lines.column)
-    rows, columns = board.lines.row.shape
-    ahead_of_cells = int(board.pulled)
-    drivers, ends = np.arange(rows), rows + np.arange(columns)
-    on_row = rows + columns + np.arange(rows * columns).reshape(rows, columns)
-    on_column = on_row + rows * columns
-    ideal = np.insert(board.circuit.ideal_inputs(board), 0, [False] * ahead_of_cells)
-    joints = [
-        (np.column_stack([drivers, on_row[:, :-1]])[row], on_row[row]),
-        (on_column[:-1][column[1:]], on_column[1:][column[1:]]),
-        (on_column[-1][ideal], ends[ideal]),
-    ]
-    shorted = np.isinf(board.cell_conductance(cells)).any(axis=tuple(range(cells.ndim - 2)))
-    for fault in board.bridges:
-        if fault.ohms <= LEAST_OHM:
-            line = on_row if fault.kind == "bridged-rows" else on_column
-            here, there = ((row, column + ahead_of_cells) for row, column in fault.ends)
-            joints.append((np.array([line[here]]), np.array([line[there]])))
-    joints.append((on_row[shorted], on_column[shorted]))
-    first_nodes, second_nodes = (np.concatenate(side) for side in zip(*joints, strict=True))
-    size = rows + columns + 2 * rows * columns
-    links = coo_array((np.ones(len(first_nodes)), (first_nodes, second_nodes)), shape=(size, size))
-    island: IntArray = np.asarray(connected_components(links, directed=False)[1], dtype=np.intp)
-    drivers, ends = island[drivers], island[ends[ahead_of_cells:]]
+    rows, columns = board.shape
+    network = grid_network(replace(board, continuous=False), cells)
+    island = islands(network, np.isinf(network.conductance))[network.ports]
+    apart = len(network.place) + np.arange(columns)  # behind what is no ideal source
+    drivers, ends = island[:rows], np.where(at_any(board.circuit.ideal_inputs(board), 1), island[-columns:], apart)
     found = board.circuit.contradiction(board, drivers, ends)
     if found is not None:
         raise SolverError(
@@ -137,3 +119,13 @@ def refuse_contradictions(board: Board, cells: FloatArray) -> BoolArray | None:
     frames = np.asarray(np.isinf(board.cell_conductance(cells)).any(axis=(-2, -1)))
     some = np.asarray(frames | bool(board.bridges))
     return np.asarray(some[..., None, None] & undetermined)
+
+
+def islands(network: Network, joining: BoolArray) -> IntArray:
+    """(nodes,) number of the island of each node: a set of nodes that some branches (..., branches) join."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    a, b = network.ends[at_any(joining, 1)].T
+    links = coo_array((np.ones(len(a)), (a, b)), shape=(len(network.place),) * 2)
+    return np.asarray(connected_components(links, directed=False)[1], dtype=np.intp)

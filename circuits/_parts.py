@@ -8,19 +8,25 @@ transposed about its other diagonal: :meth:`Parts.transpose` converts arrays of 
 and back. In line coordinates row i is always driven ahead of column 0, and column j is always sensed behind row N - 1.
 
 Readout circuits take :class:`Parts`. All other code takes a :class:`._board.Board`: the parts with their circuit.
+
+Stacks
+------
+A *stack* is S boards of one design with values of their own (Monte Carlo, corners of tolerances). Its arrays have one
+more axis, ahead: (S, N, M) in place of (N, M), (S, N) of rows, (S, 1, M) in place of (M,) and (S, 1, 1) in place of a
+number, so that all of them broadcast against readings (S, N, M). Board k reads frame k of cells (S, N, M).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isfinite
-from typing import Literal, TypeVar
+from typing import Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.arrays import BoolArray, FloatArray
+from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._sections import Fault, Sheet
 from .ends import Columns, LineEnds
 from .solvers import Lines, siemens
@@ -29,6 +35,20 @@ LEAST_SHORT_OHM = 1e-3
 """least resistance of a shorted cell with its contacts, for bounds on the effect of a short on other readings"""
 
 T = TypeVar("T", bound=np.generic)
+
+_OF_ROWS, _OF_COLUMNS = ("row_ohms", "column_ohms", "row_lead"), ("column_lead", "reference", "gain", "offset", "bias")
+_OF_BOARD = "drive", "level"
+"""what the boards of a stack have values of their own of"""
+
+
+def of_columns(values: FloatArray) -> FloatArray:
+    """Values of columns as (M,) or (S, M), of (M,) or (S, 1, M)."""
+    return values if values.ndim == 1 else values[..., 0, :]
+
+
+def at_any(flags: BoolArray, axes: int) -> BoolArray:
+    """Where any board of a stack has a flag; the last ``axes`` axes are those of one board."""
+    return np.asarray(flags.any(axis=tuple(range(flags.ndim - axes))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +103,29 @@ class Parts:
     """whether the sheet conducts from cell to cell"""
     sheet: Sheet
     """geometry of a continuous sheet"""
+
+    steps: IntArray | None
+    """rows that are selected; readings of the others, where they cost more, are NaN; None: all"""
+
+    @property
+    def is_stack(self) -> bool:
+        """Whether these are the parts of several boards."""
+        return self.row_ohms.ndim > 2
+
+    def some(self, frames: BoolArray) -> Self:
+        """The boards of some frames (S,)."""
+        if not self.is_stack or len(self.row_ohms) == 1:  # one board reads all frames
+            return self
+        return replace(self, **{name: getattr(self, name)[frames] for name in (*_OF_ROWS, *_OF_COLUMNS, *_OF_BOARD)})
+
+    def member(self, frame: int) -> Self:
+        """The one board of a frame."""
+        if not self.is_stack:
+            return self
+        number = frame % len(self.row_ohms)
+        own = {name: getattr(self, name)[number] for name in _OF_ROWS}
+        own |= {name: getattr(self, name)[number, 0] for name in _OF_COLUMNS}
+        return replace(self, **own, **{name: getattr(self, name)[number].item() for name in _OF_BOARD})
 
     @property
     def line_kinds(self) -> tuple[str, str]:
@@ -164,9 +207,9 @@ class Parts:
         """Series conductances along the lines in S, with row leads, without column leads."""
         row_ohms, column_ohms = self.row_ohms, self.column_ohms
         if self.pulled:
-            row_ohms = np.insert(row_ohms, 0, self.row_lead, axis=1)
-            row_ohms[:, 1] -= self.row_lead
-            column_ohms = np.insert(column_ohms, 0, 0.0, axis=1)
+            row_ohms = np.concatenate([self.row_lead[..., None], row_ohms], axis=-1)
+            row_ohms[..., 1] -= self.row_lead
+            column_ohms = np.insert(column_ohms, 0, 0.0, axis=-1)
         return Lines(siemens(row_ohms), siemens(column_ohms))
 
     @cached_property

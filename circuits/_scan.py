@@ -17,9 +17,8 @@ from ._board import Board
 from ._design import Design
 from ._exact import read_exactly
 from ._ideal import apparent_resistance
+from ._tuning import SMALL
 from .solvers import attenuate
-
-_SMALL = 64  # cells up to which a frame is read exactly, since that takes hardly longer than the two tries
 
 METHODS = ("attenuation", "exact")
 """Values of ``scan(..., method=...)``, from the cheapest to the most accurate"""
@@ -178,7 +177,7 @@ def _nothing(shape: tuple[int, ...]) -> _Answers:
 def _read(board: Board, cells: FloatArray, demand: _Demand | None) -> _Answers:
     """Read frames, each by the cheapest method that meets the demand; none may."""
     found = _nothing(cells.shape)
-    if demand is not None and (demand.is_any or cells.size > _SMALL):
+    if demand is not None and (demand.is_any or cells.size > SMALL):
         _by_attenuation(board, cells, demand, found)
     pending = np.flatnonzero(found.exact)
     if len(pending):

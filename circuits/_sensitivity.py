@@ -21,7 +21,7 @@ from the sum of its cells' currents. The derivatives thus exist for lines of zer
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -31,22 +31,19 @@ from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, SolverError
 from ._board import Board
 from ._design import Design
-from ._grid import exact_ports, grid_network
+from ._grid import exact_ports, grid_network, islands
+from ._parts import at_any, of_columns
+from ._tuning import FEW_NODES, SHORT
 from .readouts import Reading, SensitivityGroup
 from .solvers import Network, reduce, siemens
 
 LARGEST = 64 * 64
 """Largest number of cells: the derivatives then need 0.13 GB of memory per kind of part."""
-FEW_NODES = 150
-"""Number of nodes up to which the equations of a grid are solved with dense matrices."""
-WIDEST = 1e7
-"""Ratio of the largest to the smallest conductance of a grid up to which dense matrices are used. For larger ratios,
-and where a very small resistance stands for a short, the order of sparse elimination keeps more digits."""
 _TOO_MANY_DECADES = (
     "the grid's parts span too many decades for sensitivities; give the smallest resistances as 0, "
     "or the largest as inf"
 )
-_SHORT = 1e8  # conductance that stands for a short, over the largest other conductance
+_CROSSING = ("row", "column"), ("column", "row")
 
 
 @dataclass(frozen=True)
@@ -130,19 +127,25 @@ class SolvedFields(NamedTuple):
 
 
 def solve_fields(board: Board, cells: FloatArray) -> SolvedFields:
-    """Solve a frame in line coordinates, for checked cells (N, M) in ohm; errors as :func:`sensitivity`."""
+    """Solve a checked frame (N, M) in ohm in line coordinates, or one of each board of a stack.
+
+    Raises:
+        InputError, SolverError: as :func:`sensitivity`.
+
+    """
     if board.continuous:
         raise InputError('sensitivities are for array.sheet = "sliced", not "continuous"')
-    if cells.size > LARGEST:
-        raise InputError(f"sensitivities are for at most {LARGEST} cells, the design has {cells.size}")
+    if (size := cells.shape[-2] * cells.shape[-1]) > LARGEST:
+        raise InputError(f"sensitivities are for at most {LARGEST} cells, the design has {size}")
     ports = exact_ports(board, cells).value
     reading = board.circuit.read(board, ports)
     network = grid_network(board, cells)
-    shorts = ~np.isfinite(network.conductance) & ~network.wire
+    shorts = np.isinf(network.conductance)
+    shorts &= ~(network.wire & shorts.all(axis=tuple(range(shorts.ndim - 1))))  # a wire of some boards is a part
     if shorts.any():
-        joined = _joins_ports(network, shorts)
+        at_ports = islands(network, np.isinf(network.conductance))[network.ports]
         network = _with_small_resistances(board, network, shorts)
-        if joined:  # a short between two ports needs a voltage across it, which gives its current
+        if len(np.unique(at_ports)) < len(at_ports):  # a short between two needs a voltage, which gives its current
             ports = reduce(network).value
     return SolvedFields(board, ports, reading, BasisFields.of(board, cells, network))
 
@@ -150,51 +153,27 @@ def solve_fields(board: Board, cells: FloatArray) -> SolvedFields:
 def _transposed_back(found: Sensitivity) -> Sensitivity:
     """Convert line coordinates to rows and columns of the array, on a board that senses rows."""
 
-    def by_reading(values: FloatArray) -> FloatArray:
-        return values.swapaxes(0, 1)[::-1, ::-1]
+    def turned(values: FloatArray) -> FloatArray:
+        own = values.swapaxes(0, 1)[::-1, ::-1]
+        if values.ndim == 4:
+            return own.swapaxes(2, 3)[:, :, ::-1, ::-1]
+        return own[..., ::-1] if values.ndim == 3 else own
 
-    def by_line(values: FloatArray) -> FloatArray:
-        return by_reading(values)[..., ::-1]
-
-    def by_place(values: FloatArray) -> FloatArray:
-        return by_reading(values).swapaxes(-1, -2)[..., ::-1, ::-1]
-
-    return Sensitivity(
-        volts=by_reading(found.volts),
-        conductance=by_reading(found.conductance),
-        cell_conductance=by_place(found.cell_conductance),
-        row_lead=by_line(found.column_lead),
-        row_segment=by_place(found.column_segment),
-        column_lead=by_line(found.row_lead),
-        column_segment=by_place(found.row_segment),
-        reference_resistance=by_line(found.reference_resistance),
-        inverse_gain=by_line(found.inverse_gain),
-        offset_voltage=by_line(found.offset_voltage),
-        bias_current=by_line(found.bias_current),
-    )
-
-
-def _joins_ports(network: Network, shorts: BoolArray) -> bool:
-    """Whether ideal lines and shorts alone connect two ports."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    a, b = network.ends[shorts | np.isinf(network.conductance)].T
-    size = len(network.place)
-    links = coo_array((np.ones(len(a)), (a, b)), shape=(size, size))
-    _, island = connected_components(links, directed=False)
-    return len(np.unique(island[network.ports])) < len(network.ports)
+    other = {f"{line}_{part}": f"{across}_{part}" for part in ("lead", "segment") for line, across in _CROSSING}
+    return Sensitivity(**{each.name: turned(getattr(found, other.get(each.name, each.name))) for each in fields(found)})
 
 
 def _with_small_resistances(board: Board, network: Network, shorts: BoolArray) -> Network:
     """Replace the branches ``shorts`` (branches,) by very small resistances; ideal lines stay ideal.
 
-    The current through a short is then the voltage across it times its conductance. With 1e8 times the largest other
-    conductance the readings change by about 1e-8, and the derivatives keep four digits in double precision.
+    The current through a short is then the voltage across it times its conductance.
     """
-    behind = siemens(board.column_lead + board.circuit.end_resistance(board))
-    others = np.concatenate([network.conductance, behind])
-    short = _SHORT * float(others[np.isfinite(others)].max(initial=0.0)) or 1.0
+    behind = siemens(of_columns(board.column_lead + board.circuit.end_resistance(board)))
+    largest = (
+        np.max(values, axis=-1, keepdims=True, where=np.isfinite(values), initial=0.0)
+        for values in (network.conductance, behind)
+    )
+    short = np.maximum(SHORT * np.maximum(*largest), 1e-300)
     return replace(network, conductance=np.where(shorts, short, network.conductance))
 
 
@@ -213,98 +192,112 @@ class BasisFields(NamedTuple):
     """Basis fields: one port of the grid at 1 V and all other ports at 0 V."""
 
     drops: FloatArray
-    """(ports, N, M) V: voltage across each cell, from row to column"""
+    """(..., ports, N, M) V: voltage across each cell, from row to column"""
     conductance: FloatArray
-    """(N, M) S"""
+    """(..., N, M) S"""
     leaving_row: FloatArray
-    """(ports, N, M) A: current out of each crosspoint of a row line into its cell and bridges; with pull-downs one more
-    crosspoint ahead of the cells"""
+    """(..., ports, N, M) A: current out of each crosspoint of a row line into its cell and bridges; with pull-downs one
+    more crosspoint ahead of the cells"""
     entering_column: FloatArray
-    """(ports, N, M) A: current into each crosspoint of a column line from its cell and bridges"""
+    """(..., ports, N, M) A: current into each crosspoint of a column line from its cell and bridges"""
 
     @classmethod
     def of(cls, board: Board, cells: FloatArray, network: Network) -> BasisFields:
         """Solve for the basis fields of ``network``, which is the board's grid with these cells and no shorts."""
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-
-        rows, columns = board.lines.row.shape
-        ahead_of_cells = columns - cells.shape[1]
+        rows, columns = board.lines.row.shape[-2:]
+        ahead_of_cells = columns - cells.shape[-1]
         cell_at = rows * columns + (rows - 1) * columns
         conductance = network.conductance
-        # The ends of an ideal wire are the same node.
-        wired = np.isinf(conductance)
-        count = len(network.place)
-        a, b = network.ends[wired].T
-        _, node = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(count, count)), directed=False)
+        wired = at_any(np.isinf(conductance), 1)
+        node = islands(network, wired)  # the ends of an ideal wire are the same node
         a, b = node[network.ends[~wired]].T
-        value = conductance[~wired]
-        port = node[network.ports].astype(np.intp)
-        size = int(node.max()) + 1
-        felt = value[value > 0.0]
-        is_easy = size <= FEW_NODES and felt.max(initial=0.0) <= WIDEST * felt.min(initial=np.inf)
-        potential = _dense_potentials(a, b, value, port, size) if is_easy else None
-        if potential is None:
-            potential = _sparse_potentials(a, b, value, port, size)
-        first, second = potential[node[network.ends[cell_at:]]].transpose(1, 2, 0)
-        drops, siemens_at = first - second, conductance[cell_at:]
+        potential = _potentials(
+            a, b, conductance[..., ~wired], node[network.ports].astype(np.intp), int(node.max()) + 1
+        )
+        first, second = np.moveaxis(np.moveaxis(potential[..., node[network.ends[cell_at:]], :], -1, -3), -1, 0)
+        drops, siemens_at = first - second, conductance[..., None, cell_at:]
         ours = slice(rows * columns)
-        current = (drops * siemens_at).reshape(rows + columns, -1)
-        leaving = current[:, ours].reshape(-1, rows, columns).copy()
+        current = drops * siemens_at
+        places = (*current.shape[:-1], rows, columns)
+        leaving = current[..., ours].reshape(places).copy()
         entering = leaving.copy()
         for bridge, fault in enumerate(board.bridges, start=rows * columns):
-            here, there = ((row, column + ahead_of_cells) for row, column in fault.ends)
+            here, there = ((..., row, column + ahead_of_cells) for row, column in fault.ends)
             if fault.kind == "bridged-rows":
-                leaving[:, *here] += current[:, bridge]
-                leaving[:, *there] -= current[:, bridge]
+                leaving[here] += current[..., bridge]
+                leaving[there] -= current[..., bridge]
             else:
-                entering[:, *here] -= current[:, bridge]
-                entering[:, *there] += current[:, bridge]
-        across = siemens_at[ours].reshape(rows, columns)[:, ahead_of_cells:]
+                entering[here] -= current[..., bridge]
+                entering[there] += current[..., bridge]
+        across = siemens_at[..., 0, ours].reshape(*cells.shape[:-1], columns)[..., ahead_of_cells:]
         own = np.minimum(siemens(cells + board.series_ohms), across)  # without faults in parallel
-        of_cells = drops[:, ours].reshape(-1, rows, columns)[..., ahead_of_cells:]
+        of_cells = drops[..., ours].reshape(places)[..., ahead_of_cells:]
         return cls(of_cells, own, leaving, entering[..., ahead_of_cells:])
 
 
+def of_readings(field: FloatArray, basis: FloatArray) -> FloatArray:
+    """(..., R, C, N, M) of the fields (..., R, C, ports) of readings, by basis fields (..., ports, N, M)."""
+    flat = basis.reshape(*basis.shape[:-2], -1)
+    found = field.reshape(*field.shape[:-3], -1, field.shape[-1]) @ flat
+    return found.reshape(*found.shape[:-2], *field.shape[-3:-1], *basis.shape[-2:])
+
+
+def _potentials(a: IntArray, b: IntArray, value: FloatArray, port: IntArray, size: int) -> FloatArray:
+    """Potentials (..., size, ports) of all nodes while one port after the other is at 1 V and all others are at 0 V.
+
+    Args:
+        a: one end of each branch, a node.
+        b: its other end.
+        value: (..., branches) its conductance in S.
+        port: the nodes of the ports.
+        size: number of nodes.
+
+    Raises:
+        SolverError: the factorisation breaks down.
+
+    """
+    felt = np.where(value > 0.0, value, np.nan)
+    spanned = 10.0 * np.nanmax(felt, initial=0.0) / np.nanmin(felt, initial=np.inf)  # with a digit to spare
+    few = size <= FEW_NODES and spanned <= SHORT
+    potential = _dense_potentials(a, b, value, port, size) if few else None
+    if potential is not None:
+        return potential
+    each = [_sparse_potentials(a, b, own, port, size) for own in value.reshape(-1, value.shape[-1])]
+    return np.stack(each).reshape(*value.shape[:-1], size, len(port))
+
+
 def _dense_potentials(a: IntArray, b: IntArray, value: FloatArray, port: IntArray, size: int) -> FloatArray | None:
-    """As :func:`_sparse_potentials`, with dense matrices for few nodes; None if some node is connected to no port.
+    """As :func:`_potentials`, with dense matrices for few nodes; None if some node is connected to no port.
 
     On a small grid a single operation on a sparse matrix takes as long as this whole function.
     """
-    graph = np.zeros((size, size))
-    np.add.at(graph, (a, b), value)
-    graph += graph.T
+    graph = np.zeros((*value.shape[:-1], size, size))
+    for here, there, siemens_of in zip(a.tolist(), b.tolist(), np.moveaxis(value, -1, 0), strict=True):
+        graph[..., here, there] += siemens_of
+    graph += np.swapaxes(graph, -1, -2)
+    linked = np.asarray((graph > 0.0).all(axis=tuple(range(graph.ndim - 2))))
     reached = np.zeros(size, dtype=np.bool_)
     reached[port] = True
-    linked, count = graph > 0.0, 0
+    count = 0
     while count < (count := int(np.count_nonzero(reached))):
         reached |= linked[:, reached].any(axis=1)
     if count < size:
         return None
     inner = np.setdiff1d(np.arange(size), port)
-    potential = np.zeros((size, len(port)))
-    potential[port, np.arange(len(port))] = 1.0
-    matrix = np.diag(graph.sum(axis=1)) - graph
+    potential = np.zeros((*value.shape[:-1], size, len(port)))
+    potential[..., port, np.arange(len(port))] = 1.0
+    matrix = -graph
+    every = np.arange(size)
+    matrix[..., every, every] += graph.sum(axis=-1)
     try:
-        potential[inner] = np.linalg.solve(matrix[np.ix_(inner, inner)], graph[np.ix_(inner, port)])
+        potential[..., inner, :] = np.linalg.solve(matrix[..., inner[:, None], inner], graph[..., inner[:, None], port])
     except np.linalg.LinAlgError as error:
         raise SolverError(_TOO_MANY_DECADES) from error
     return potential
 
 
 def _sparse_potentials(a: IntArray, b: IntArray, value: FloatArray, port: IntArray, size: int) -> FloatArray:
-    """Potentials (size, ports) of all nodes while one port after the other is at 1 V and all others are at 0 V.
-
-    Args:
-        a: one end of each branch, a node.
-        b: its other end.
-        value: its conductance in S.
-        port: the nodes of the ports.
-        size: number of nodes.
-
-    Raises:
-        SolverError: the factorisation breaks down.
-    """
+    """As :func:`_potentials` of one network, by sparse factorisation."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.sparse.linalg import splu
@@ -341,38 +334,30 @@ def _sparse_potentials(a: IntArray, b: IntArray, value: FloatArray, port: IntArr
 def _empty(volts: FloatArray, conductance: FloatArray) -> Sensitivity:
     """All derivatives 0, for :func:`_write_derivatives` to fill."""
     rows, columns = volts.shape
-    return Sensitivity(
-        volts=volts,
-        conductance=conductance,
-        cell_conductance=np.zeros((rows, columns, rows, columns)),
-        row_lead=np.zeros((rows, columns, rows)),
-        row_segment=np.zeros((rows, columns, rows, columns - 1)),
-        column_lead=np.zeros((rows, columns, columns)),
-        column_segment=np.zeros((rows, columns, rows - 1, columns)),
-        reference_resistance=np.zeros((rows, columns, columns)),
-        inverse_gain=np.zeros((rows, columns, columns)),
-        offset_voltage=np.zeros((rows, columns, columns)),
-        bias_current=np.zeros((rows, columns, columns)),
-    )
+    places = {"cell_conductance": (rows, columns), "row_lead": (rows,)}
+    places |= {"row_segment": (rows, columns - 1), "column_segment": (rows - 1, columns)}
+    kinds = [each.name for each in fields(Sensitivity)[2:]]
+    zeros = {name: np.zeros((rows, columns, *places.get(name, (columns,)))) for name in kinds}
+    return Sensitivity(volts, conductance, **zeros)
 
 
 def _write_derivatives(result: Sensitivity, fields: BasisFields, group: SensitivityGroup) -> None:
     """Write the derivatives of one group of readings into ``result``."""
     at = np.ix_(group.rows, group.columns)
-    forward = np.tensordot(group.forward, fields.drops, axes=1)
-    adjoint = np.tensordot(group.adjoint, fields.drops, axes=1)
+    forward = of_readings(group.forward, fields.drops)
+    adjoint = of_readings(group.adjoint, fields.drops)
     result.cell_conductance[at] = -forward * adjoint
     # Kirchhoff's current law: a row segment carries the currents that leave the row beyond it, and a column segment
     # carries the currents that have entered the column before it.
     along, down = [], []
     for field in (group.forward, group.adjoint):
-        leaving = np.tensordot(field, fields.leaving_row, axes=1)
+        leaving = of_readings(field, fields.leaving_row)
         along.append(np.cumsum(leaving[..., ::-1], axis=-1)[..., ::-1])
-        down.append(np.cumsum(np.tensordot(field, fields.entering_column, axes=1), axis=-2)[..., :-1, :])
+        down.append(np.cumsum(of_readings(field, fields.entering_column), axis=-2)[..., :-1, :])
     result.row_lead[at] = along[0][..., 0] * along[1][..., 0]
     segments = np.s_[..., along[0].shape[-1] - result.row_segment.shape[-1] :]
     result.row_segment[at] = along[0][segments] * along[1][segments]
     result.column_segment[at] = down[0] * down[1]
     result.column_lead[at] = group.lead_current * group.adjoint_lead_current
-    for name, values in group.own_parts.items():
+    for name, values in group.own_parts().items():
         getattr(result, name)[at] = values

@@ -24,8 +24,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
@@ -63,7 +62,7 @@ _OPTIONS: dict[str, bool | str] = {"nogil": True, "error_model": "numpy", "no_cf
 _UNCOUNTED = {"_nrt": False}
 """an option that Numba does not document: nobody counts references to arrays, which doubles what a call costs. Where a
 kernel makes arrays, they must be counted"""
-_MAKERS = {"empty", "zeros"}
+_MAKERS = {"empty", "zeros", "argsort"}
 """functions of NumPy that make arrays; no kernel may use another one"""
 _SCALARS = {float: "float64", int: "intp", bool: "boolean", type(None): "void"}
 _OFF, _CHECKED = ("0", "no", "off", "false"), "checked"
@@ -426,7 +425,8 @@ def _await(process: subprocess.Popen[bytes], missing: list[Loop[..., Any]]) -> N
 def loop(function: Callable[P, R]) -> Loop[P, R]:
     """Make a function of a module a kernel: a decorator.
 
-    Its annotations are the types above, records, ``float``, ``int``, ``bool``, None, and tuples of these. Beside its
+    Its annotations are the types above, records, ``float``, ``int``, ``bool``, None, and tuples of these, named or not
+    (``NamedTuple``: arrays that belong together are one argument). Beside its
     arguments it uses numbers of its module, the modules ``math`` and ``numpy``, and other kernels; within a function,
     no function. Calls are quickest where neither it nor the kernels that it calls make arrays (``numpy.empty``,
     ``numpy.zeros``).
@@ -445,25 +445,6 @@ def load(*loops: Loop[..., Any]) -> bool:
     for each in loops or tuple(_offered):
         each.load()
     return why_not() is None
-
-
-@contextmanager
-def switched_off() -> Iterator[None]:
-    """Run all kernels as plain Python meanwhile: to compare, or to debug."""
-    before = os.environ.get(SWITCH)
-    code = [(each, each.code, each.unchecked) for each in _offered]
-    os.environ[SWITCH] = "off"
-    try:
-        for each in _offered:
-            each.code = each.unchecked = each.function
-        yield
-    finally:
-        for each, checked, unchecked in code:
-            each.code, each.unchecked = checked, unchecked
-        if before is None:
-            del os.environ[SWITCH]
-        else:
-            os.environ[SWITCH] = before
 
 
 def is_compiling() -> bool:
@@ -494,4 +475,7 @@ def _numba_type(hint: Any) -> Any:
         return types.Tuple([_numba_type(part) for part in get_args(hint)])
     if isinstance(hint, type) and issubclass(hint, Record):
         return from_dtype(hint.dtype())
+    if isinstance(hint, type) and issubclass(hint, tuple):
+        fields = get_type_hints(hint, include_extras=True).values()
+        return types.NamedTuple([_numba_type(part) for part in fields], hint)
     return getattr(types, _SCALARS[hint])

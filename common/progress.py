@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 Progress = Callable[[int, int, str], None]
-"""called with the steps done, the steps in all, and what was done last"""
+"""called with the steps done, the steps in all, and what was done last or is done now"""
 
 
 def silent(done: int, total: int, what: str) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..common.arrays import FloatArray, IntArray
 from ..wire import CHECKSUMS, FRAMINGS, WORDS, FieldText
 from ._guess import Chunk, Guess, board_guess, shapes
-from ._thresholds import COVERED, FEWEST, LEFT_OVER, PAUSE_S, PAUSES_APART, PROOF, PROVEN, SEVERAL, USUAL
+from ._tuning import COVERED, FEWEST, LEFT_OVER, PAUSE_S, PAUSES_APART, PROOF, PROVEN, SEVERAL, USUAL
 from ._word_guess import CELL_WORDS, MOST_AHEAD, Bytes, Likely, block, column, likelihood, shown, words_in
 
 MOST_BYTES = 2**17

@@ -19,19 +19,19 @@ from ..wire import BoardFile, Corrupt, Family, FramePacket
 from ._binary_guess import binary_guesses
 from ._guess import Chunk, Guess
 from ._text_guess import is_text, text_guesses
-from ._thresholds import (
+from ._tuning import (
     AS_GOOD,
     DOUBTFUL,
     FEWEST_FRAMES,
     GOOD_ACCOUNTED,
     LEAST_ACCOUNTED,
     MANY_FRAMES,
+    MOST_OTHERS,
+    OTHERS_TRIED,
     SEVERAL,
     SURE,
 )
 
-OTHERS_TRIED, MOST_OTHERS = 4, 3
-"""guesses that are tried besides one that explains enough, and that are shown"""
 MOST_COPIES = 16
 MOST_GUESSES = 200
 

@@ -10,10 +10,8 @@ import numpy as np
 
 from ..common.arrays import FloatArray
 from ..wire import WORDS
-from ._thresholds import CLOCKS_DIFFER, SEVERAL, USUAL
+from ._tuning import CLOCKS_DIFFER, SEVERAL, USUAL, USUAL_BITS
 
-USUAL_BITS = 12
-"""of a converter whose largest count has not been seen: too many bits cost nothing while no circuit is known"""
 SIDES = "? bytes do not tell from which corner cells are counted: press one; flip_rows, flip_columns, order"
 MOST_APART = 4.0
 """ratio of the sides of an array that is guessed from its number of cells"""

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..common.arrays import FloatArray
 from ._guess import Guess, board_guess, counting_role, shapes
-from ._thresholds import FEWEST
+from ._tuning import FEWEST
 
 MOST_LEVELS = 6
 MOST_LEAVES = 4096

@@ -11,9 +11,9 @@ import math
 import os
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
 from itertools import product
+from typing import Any
 
 from ..common.text import shortened
 from ..driver import BytePort, open_port
@@ -22,25 +22,23 @@ from ._draft import Draft, decoded, draft
 from ._finding import Finding, State
 from ._guess import Chunk
 from ._text_guess import is_text
-from ._thresholds import FEWEST_FRAMES, SURE
+from ._tuning import (
+    ANSWERED_S,
+    ASKED,
+    ASKED_AGAIN,
+    FEWEST_FRAMES,
+    LEAST_ACCOUNTED,
+    LISTEN_S,
+    LONGEST_LISTENING_S,
+    MOST_IDLE,
+    PROGRESS_S,
+    QUIET_S,
+    STILL_ALIVE,
+    SURE,
+)
 
-LISTEN_S = 1.5
-"""how long to listen before the bytes are judged: the slowest family sends two frames in a second"""
-LONGEST_LISTENING_S = 6.0
-"""at one baud rate, if bytes come that are no frames yet: a board boots, or sends slowly"""
-ASKED = 5
-"""share of the time of listening that a board has to answer"""
-ASKED_AGAIN, ANSWERED_S = 15, 0.1
-"""times that a board which answers is asked again, and s without a byte after which an answer is over"""
-SHORT_LISTEN_S = 0.3
-"""at a further baud rate, if the port has been silent"""
-PROGRESS_S = 0.25
 COMMON_RATES = (115_200, 1_000_000, 250_000, 2_000_000, 500_000, 921_600, 9_600, 230_400, 57_600, 460_800, 38_400)
 """baud rates of boards, those of the families among them, in the order in which they are tried"""
-MOST_CORRUPT = 0.5
-"""share of the bytes that may be no part of a packet; a recording begins and ends within a packet"""
-QUIET_S = 0.7
-"""without a byte, from which on a board counts as silent: a boot message may have come before"""
 START_WORDS = (
     *(b"a", b"A", b"s", b"S", b"r", b"R", b"t", b"T", b"g", b"1", b"?", b" ", b"\r\n", b"start\n", b"START\r\n"),
     *(b"read\n", b"READ\r\n", b"get\n", b"GET\r\n", b"trigger\n", b"TRIGGER\r\n", b"stream\n", b"begin\n", b"go\n"),
@@ -51,10 +49,6 @@ MODBUS_FUNCTIONS = 4, 3
 """read input registers, read holding registers (Modbus application protocol V1.1b3, 6.3 and 6.4)"""
 MODBUS_REGISTERS = ((7, 32), (7, 36), (0, 16), (0, 32), (0, 64))
 """first and number of the registers that sensors of device 1 keep their cells in"""
-MOST_IDLE = 4
-"""different lines that a board repeats while it waits"""
-STILL_ALIVE = 0.5
-"""share of the time after which a board stops that hears nothing: so often the start is sent again"""
 SHOWN_BYTES = 16
 SHOWN_TEXT = 60
 
@@ -78,7 +72,7 @@ class Verdict:
     def convincing(self, received: int) -> bool:
         """Whether the bytes can hardly be anything else."""
         enough = self.frames >= FEWEST_FRAMES or self.identified
-        return enough and self.accounted(received) > 1.0 - MOST_CORRUPT
+        return enough and self.accounted(received) > LEAST_ACCOUNTED
 
 
 @dataclass(frozen=True)
@@ -137,34 +131,125 @@ def examine_traffic(
         silent = bool(heard) and not any(heard.values())
         line = open_port(port, baudrate=setting.baud_rate, dtr=setting.dtr, rts=setting.rts)
         try:
-            chunks: list[Chunk] = []
-            found = _listened(
-                port, line, setting, chunks, SHORT_LISTEN_S if silent else listen_s, tell, described=described
-            )
-            idle = _idle_lines(chunks)
-            if found is None and (idle or _is_quiet(line, chunks)):
-                ask = partial(
-                    _answer,
-                    port,
-                    line,
-                    setting,
-                    chunks=chunks,
-                    idle=idle,
-                    listen_s=listen_s,
-                    tell=tell,
-                    described=described,
-                )
+            one = _Listener(port, line, setting.baud_rate, listen_s, described, tell)
+            found = one.listened(LISTEN_S / ASKED if silent else listen_s)
+            if found is None and one.waits():
                 for family in _families_to_ask(port, setting):
-                    found = found or ask(family.name, _orders(family))
+                    found = found or one.answer(family.name, _orders(family))
                 for name, word in () if found is not None or poke is None or not poke() else _words():
-                    found = found or ask(name, [word])
+                    found = found or one.answer(name, [word])
         finally:
             line.close()
         if found is not None and (found.draft is None or _shows_where_frames_begin(found.draft)):
             return found
         spare = spare or found  # a wrong baud rate leaves the pauses between frames as they are
-        heard[setting.baud_rate] = chunks
+        heard[setting.baud_rate] = one.chunks
     return spare or Traffic(_not_recognised(port, heard), None, max(heard, key=lambda rate: len(_joined(heard[rate]))))
+
+
+@dataclass
+class _Listener:
+    """An open port, and what has come there at one baud rate."""
+
+    port: str
+    line: BytePort
+    baud_rate: int
+    listen_s: float
+    described: bool
+    tell: Tell
+    chunks: list[Chunk] = field(default_factory=list)
+    idle: tuple[bytes, ...] = ()
+    """lines that the board says over and over while it waits for something"""
+
+    def listened(self, listen_s: float) -> Traffic | None:
+        """What comes by itself; longer if bytes come that are no frames yet."""
+        passed_s, found = 0.0, None
+        while passed_s < LONGEST_LISTENING_S * listen_s / LISTEN_S:
+            self._collect(self.chunks, listen_s)
+            passed_s += listen_s
+            if not self.chunks:
+                return None
+            found = self._judged(self.chunks)
+            if found is not None and (found.draft is None or found.draft.is_clear):
+                return found
+        return found
+
+    def waits(self) -> bool:
+        """Whether nothing has come lately but what a board says over and over, which is known from now on."""
+        lines = _joined(self.chunks).split(b"\n")[1:-1] if is_text(self.chunks) else []
+        kinds = set(lines)
+        self.idle = tuple(kinds) if 2 * len(kinds) <= len(lines) and len(kinds) <= MOST_IDLE else ()
+        return bool(self.idle) or not self.chunks or self.line.now() - self.chunks[-1].time_s > QUIET_S
+
+    def answer(self, name: str, requests: Sequence[bytes]) -> Traffic | None:
+        """What comes after a way of asking; a board that answers and is silent again is asked again.
+
+        One that goes on by itself was started; if it stops after a while, it wants to hear the start again and again.
+        """
+        answer: list[Chunk] = []
+        doing = f"silent; asking by {name}"
+        for request in requests:
+            self.line.write(request)
+            self._collect(answer, self.listen_s / ASKED, doing)
+        if not self._without_idle(answer):
+            return None
+        began_at, first = self.line.now(), len(answer)
+        for _ in range(ASKED_AGAIN):
+            self.line.write(requests[-1])
+            asked_at = self.line.now()
+            self._collect(answer, self.listen_s / ASKED, doing, pause_s=ANSWERED_S)
+        rate = len(_joined(self._without_idle(answer[first:]))) / (self.line.now() - began_at)
+        answer = self._without_idle(answer)
+        self.chunks += answer
+        after: list[Chunk] = []
+        self._collect(after, self.listen_s)
+        if len(_joined(self._without_idle(after))) <= rate * self.listen_s / 2:
+            return self._judged(answer, poll=requests[-1])
+        self._collect(after, self.listen_s)
+        started = self._without_idle(after)
+        stopped = self.line.now() - started[-1].time_s > QUIET_S * min(self.listen_s / LISTEN_S, 1.0)
+        every_s = round(STILL_ALIVE * (started[-1].time_s - asked_at), 1) if stopped else 0.0
+        return self._judged(started, send=requests[-1], every_s=every_s)
+
+    def _without_idle(self, chunks: Sequence[Chunk]) -> list[Chunk]:
+        """What came besides the lines of a board that waits."""
+        left = []
+        for chunk in chunks:
+            data = chunk.data
+            for one in self.idle:
+                data = data.replace(one + b"\n", b"")
+            left += [Chunk(chunk.time_s, data)] if data else []
+        return left
+
+    def _collect(
+        self, chunks: list[Chunk], seconds: float, doing: str = "listening", *, pause_s: float = math.inf
+    ) -> None:
+        """Append what comes within some seconds, or until nothing more comes for ``pause_s``."""
+        line = self.line
+        end, came = line.now() + seconds, math.inf
+        while (left := min(end, came + pause_s) - line.now()) > 0:
+            self.tell(f"{self.port}: {doing} at {self.baud_rate} baud, {len(_joined(chunks))} bytes")
+            if line.wait(min(left, PROGRESS_S)):
+                arrival = line.read()
+                if arrival.data:
+                    chunks.append(Chunk(arrival.received_at, arrival.data))
+                    came = line.now()
+
+    def _judged(self, chunks: Sequence[Chunk], **sent: Any) -> Traffic | None:
+        """The family that the bytes are of, or the description that accounts for them (:func:`.draft`)."""
+        data = _joined(chunks)
+        verdict = None if self.described else judge(data)
+        known = None
+        if verdict is not None:
+            finding = _recognised(self.port, self.baud_rate, data, verdict)
+            known = Traffic(finding, None, self.baud_rate, verdict.family.name)
+            if verdict.family.tables is None or decoded(verdict.family, chunks)[1] > SURE:
+                return known
+        # The formats of files have little that tells them from others: one that accounts for more bytes is right.
+        found = draft(chunks, baudrate=self.baud_rate, **sent)
+        if found is None or (known is not None and found.accounted < SURE):
+            return known
+        return Traffic(_described(self.port, self.baud_rate, chunks, found), found, self.baud_rate)
 
 
 def judge(data: bytes) -> Verdict | None:
@@ -207,52 +292,12 @@ def _families_to_ask(port: str, setting: _Setting) -> list[Family]:
     return [family for family in asking if not has_baud_rate(port) or family.baud_rate == setting.baud_rate]
 
 
-def _listened(
-    port: str, line: BytePort, setting: _Setting, chunks: list[Chunk], listen_s: float, tell: Tell, *, described: bool
-) -> Traffic | None:
-    """What comes by itself; longer if bytes come that are no frames yet."""
-    longest_s = LONGEST_LISTENING_S * listen_s / LISTEN_S
-    passed_s, found = 0.0, None
-    while passed_s < longest_s:
-        _collect(line, listen_s, chunks, f"{port}: listening at {setting.baud_rate} baud", tell)
-        passed_s += listen_s
-        if not chunks:
-            return None
-        found = _judged(port, setting.baud_rate, chunks, described=described)
-        if found is not None and (found.draft is None or found.draft.is_clear):
-            return found
-    return found
-
-
 def _words() -> Iterator[tuple[str, bytes]]:
     """What may make a silent board send, with names."""
     yield from ((repr(word.decode()), word) for word in START_WORDS)
     for function, (first, count) in product(MODBUS_FUNCTIONS, MODBUS_REGISTERS):
         request = struct.pack(">BBHH", 1, function, first, count)
         yield f"Modbus registers {first} to {first + count - 1}", request + CHECKSUMS["crc16-modbus"].of(request)
-
-
-def _idle_lines(chunks: Sequence[Chunk]) -> tuple[bytes, ...]:
-    """The lines of a board that says the same over and over while it waits for something; empty: it does not."""
-    lines = _joined(chunks).split(b"\n")[1:-1] if is_text(chunks) else []
-    kinds = set(lines)
-    return tuple(kinds) if 2 * len(kinds) <= len(lines) and len(kinds) <= MOST_IDLE else ()
-
-
-def _without(chunks: Sequence[Chunk], lines: tuple[bytes, ...]) -> list[Chunk]:
-    """What came besides some lines."""
-    left = []
-    for chunk in chunks:
-        data = chunk.data
-        for one in lines:
-            data = data.replace(one + b"\n", b"")
-        left += [Chunk(chunk.time_s, data)] if data else []
-    return left
-
-
-def _is_quiet(line: BytePort, chunks: Sequence[Chunk]) -> bool:
-    """Whether nothing has come lately."""
-    return not chunks or line.now() - chunks[-1].time_s > QUIET_S
 
 
 def _orders(family: Family) -> list[bytes]:
@@ -262,93 +307,9 @@ def _orders(family: Family) -> list[bytes]:
     return [protocol.request(order) for order in orders]
 
 
-def _answer(
-    port: str,
-    line: BytePort,
-    setting: _Setting,
-    name: str,
-    requests: Sequence[bytes],
-    *,
-    chunks: list[Chunk],
-    idle: tuple[bytes, ...],
-    listen_s: float,
-    tell: Tell,
-    described: bool,
-) -> Traffic | None:
-    """What comes after a way of asking; a board that answers and is silent again is asked again.
-
-    One that goes on by itself was started; if it stops after a while, it wants to hear the start again and again.
-    """
-    answer: list[Chunk] = []
-    doing = f"{port}: silent; asking by {name} at {setting.baud_rate} baud"
-    for request in requests:
-        line.write(request)
-        _collect(line, listen_s / ASKED, answer, doing, tell)
-    if not _without(answer, idle):
-        return None
-    began_at, first = line.now(), len(answer)
-    for _ in range(ASKED_AGAIN):
-        line.write(requests[-1])
-        asked_at = line.now()
-        _collect(line, listen_s / ASKED, answer, doing, tell, pause_s=ANSWERED_S)
-    rate = len(_joined(_without(answer[first:], idle))) / (line.now() - began_at)
-    answer = _without(answer, idle)
-    chunks += answer
-    after: list[Chunk] = []
-    listening = f"{port}: listening at {setting.baud_rate} baud"
-    _collect(line, listen_s, after, listening, tell)
-    started = _without(after, idle)
-    if len(_joined(started)) <= rate * listen_s / 2:
-        return _judged(port, setting.baud_rate, answer, described=described, poll=requests[-1])
-    _collect(line, listen_s, after, listening, tell)
-    started = _without(after, idle)
-    stopped = line.now() - started[-1].time_s > QUIET_S * min(listen_s / LISTEN_S, 1.0)
-    every_s = round(STILL_ALIVE * (started[-1].time_s - asked_at), 1) if stopped else 0.0
-    send = requests[-1]
-    return _judged(port, setting.baud_rate, started, described=described, send=send, every_s=every_s)
-
-
-def _judged(
-    port: str,
-    baud_rate: int,
-    chunks: Sequence[Chunk],
-    *,
-    described: bool,
-    send: bytes = b"",
-    poll: bytes = b"",
-    every_s: float = 0.0,
-) -> Traffic | None:
-    """The family that the bytes are of, or the description that accounts for them."""
-    data = _joined(chunks)
-    verdict = None if described else judge(data)
-    if verdict is not None and verdict.family.tables is None:
-        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate, verdict.family.name)
-    # The formats of files have little that tells them from others: one that accounts for more bytes is the right one.
-    if verdict is not None and decoded(verdict.family, chunks)[1] > SURE:
-        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate, verdict.family.name)
-    found = draft(chunks, baudrate=baud_rate, send=send, poll=poll, every_s=every_s)
-    if verdict is not None and (found is None or found.accounted < SURE):
-        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate, verdict.family.name)
-    return None if found is None else Traffic(_described(port, baud_rate, chunks, found), found, baud_rate)
-
-
 def _shows_where_frames_begin(found: Draft) -> bool:
     frame = found.guess.tables["frame"]
     return frame["format"] != "binary" or "header" in frame or "framing" in frame
-
-
-def _collect(
-    line: BytePort, seconds: float, chunks: list[Chunk], doing: str, tell: Tell, *, pause_s: float = math.inf
-) -> None:
-    """Append what comes within some seconds, or until nothing more comes for ``pause_s``."""
-    end, came = line.now() + seconds, math.inf
-    while (left := min(end, came + pause_s) - line.now()) > 0:
-        tell(f"{doing}, {sum(len(chunk.data) for chunk in chunks)} bytes")
-        if line.wait(min(left, PROGRESS_S)):
-            arrival = line.read()
-            if arrival.data:
-                chunks.append(Chunk(arrival.received_at, arrival.data))
-                came = line.now()
 
 
 def _joined(chunks: Sequence[Chunk]) -> bytes:

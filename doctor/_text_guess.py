@@ -21,12 +21,10 @@ import numpy as np
 from ..common.arrays import FloatArray
 from ._guess import Chunk, Guess, board_guess, counting_role, shapes
 from ._json_guess import json_guesses
-from ._thresholds import FEWEST, PAUSE_S, PROVEN, TEXT_SHARE, USUAL
+from ._tuning import FEWEST, LIST, PAUSE_S, PROVEN, TEXT_SHARE, USUAL
 from ._word_guess import words_in
 
 MOST_ROWS = 256
-LIST = 4
-"""numbers from which on the longest list in a line is that of the cells; among fewer the last one is"""
 
 _WORD = r"(?:[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?|[+-]?nan|null|[+-]?inf|ovf)"
 _BETWEEN = r"[\s,;:|\[\](){}]"

@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from ..common.arrays import FloatArray
 from ..wire import WORDS
 from ._guess import Guess, board_guess, shapes
-from ._thresholds import CLOCKS_DIFFER, EVEN_STEPS, HALF, HALVES_ALIKE, SEVERAL, USUAL
+from ._tuning import BINS, CLOCKS_DIFFER, EVEN_STEPS, HALF, HALVES_ALIKE, SEVERAL, USUAL
 
 MOST_AHEAD = 12
 """bytes between header and words, at most"""
 MOST_BEHIND = 4
-BINS = 16
-"""of such a distribution"""
 CELL_WORDS = (
     *("uint8", "uint16le", "uint16be", "int16le", "int16be", "uint32le", "uint32be", "float32le", "float32be"),
     *("uint12le", "uint12be"),

@@ -11,24 +11,42 @@ import warnings
 import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Protocol
 
 from ..common.checks import function
 from ..errors import LinkEnded, LinkError, LinkTimeout, ProtocolError
-from ._connection import Connection
 from ._converted import Converted
 from ._frame import Frame
+from ._frames import Frames
 from ._stream import RawFrame
 
 CLOSE_S = 2.0
 """how long closing waits for a running callback, which may itself be waiting for the closing thread"""
 
 
+class Source(Protocol):
+    """Where frames come from: a :class:`._connection.Connection`, or several (:class:`._joined.JoinedBoards`)."""
+
+    frames: Frames
+
+    @property
+    def port_name(self) -> str:
+        """For messages."""
+
+    def poll(self, *, patient: bool = False) -> None:
+        """Look for frames that have come."""
+
+    def now(self) -> float:
+        """Present time in s, on the clock of :attr:`.Frame.monotonic_time`."""
+
+    def nothing_came(self, what: str, timeout_s: float) -> LinkTimeout | ProtocolError:
+        """The error for a wait for ``what`` that timed out."""
+
+
 class Consumer:
     """One place in the stream of frames. Counts for its reader the frames lost and skipped between those it got."""
 
-    def __init__(self, connection: Connection, *, after: int | None = None) -> None:
+    def __init__(self, connection: Source, *, after: int | None = None) -> None:
         """Begin after the frame with this number; None: as :meth:`.Frames.join` says."""
         self._connection = connection
         self._frames = frames = connection.frames
@@ -36,7 +54,7 @@ class Consumer:
             self._place, last = frames.join(after)
             self._faults = frames.fault.number if after is None else 0
         self._lock = threading.Lock()
-        self._reported = _Totals() if last is None else _Totals.of(last, frames.converter.starts)
+        self._reported = _Totals() if last is None else _Totals.of(last, frames.starts)
         self._newest = self._place.index
         """number of the last frame delivered; before the first delivery, of the frame at which this consumer began"""
         self._seen = 0
@@ -164,7 +182,8 @@ class Consumer:
         with self._lock:
             self._reported = replace(self._reported, index=self._reported.index + sum(k > self._newest for k in tared))
             self._frame = None
-            self._newest = max(self._newest, 0 if frames.lossless else frames.converter.last_index, *tared)
+            latest = None if frames.lossless else frames.latest
+            self._newest = max(self._newest, 0 if latest is None else latest.index, *tared)
             frames.move(self._place, self._newest)
 
     def leave(self) -> None:
@@ -236,7 +255,7 @@ class Consumer:
 class AsyncFrames:
     """Frames for ``async for``: waits in the event loop, converts in the loop's thread."""
 
-    def __init__(self, connection: Connection, timeout_s: float, *, keep: object = None) -> None:
+    def __init__(self, connection: Source, timeout_s: float, *, keep: object = None) -> None:
         """``keep``: object protected from garbage collection while frames are taken, since the port closes with it."""
         import asyncio  # takes a tenth of the driver's own time
 
@@ -279,29 +298,19 @@ class AsyncFrames:
                 timer.cancel()
 
 
-class Place(Protocol):
-    """A reader's place among the frames of one board (:class:`Consumer`), or of several."""
-
-    def next_frame(self, timeout_s: float) -> Frame:
-        """Wait for the next frame; errors as :meth:`Consumer.next_frame`."""
-
-    def leave(self) -> None:
-        """Take no more frames."""
-
-
 class FrameCallback:
     """Calls a function with each new frame, in a thread of its own, until :meth:`close`."""
 
     def __init__(
         self,
-        place: Place,
+        consumer: Consumer,
         name: str,
         callback: Callable[[Frame], None],
         on_end: Callable[[Exception], None] | None = None,
         *,
         keep: object = None,
     ) -> None:
-        """Begin at ``place`` in the frames of the skin ``name``. InputError if a callback is no function.
+        """Begin at the place of a ``consumer``, of the skin ``name``. InputError if a callback is no function.
 
         ``keep``: as for :class:`AsyncFrames`, until the calls end.
         ``on_end`` is called with the reason when no frame will come any more, or with the error of the callback.
@@ -310,7 +319,7 @@ class FrameCallback:
         if on_end is not None:
             function("on_end", on_end)
         self._keep = keep
-        self._consumer = place
+        self._consumer = consumer
         self._callback, self._on_end = callback, on_end
         self._closed = False
         self._thread = _CallbackThread(target=self._run, name=f"ohmskin callback {name}", daemon=True)
@@ -364,7 +373,7 @@ class _CallbackThread(threading.Thread):
     """A thread in which a callback runs."""
 
 
-def follower(connection: Connection, receive: Callable[[Frame], None]) -> Callable[[RawFrame, Converted], None]:
+def follower(connection: Source, receive: Callable[[Frame], None]) -> Callable[[RawFrame, Converted], None]:
     """A function that passes every converted frame to a recorder, in order, whoever asked for the conversion."""
     before = _Totals()
 
@@ -376,7 +385,7 @@ def follower(connection: Connection, receive: Callable[[Frame], None]) -> Callab
     return converted
 
 
-def frames_since(connection: Connection, monotonic_s: float) -> list[Frame]:
+def frames_since(connection: Source, monotonic_s: float) -> list[Frame]:
     """The frames that came after this time, in order, as :meth:`.Skin.frames_since`."""
     if not connection.frames.lossless:
         connection.poll()
@@ -406,9 +415,8 @@ class _Totals:
         return cls(frame.index, frame.lost, frame.overruns, frame.reconnects, frame.reboots, estimator_starts)
 
 
-def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: Connection) -> Frame:
+def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: Source) -> Frame:
     """The frame for a reader whose totals up to now are ``before``."""
-    converter = connection.frames.converter
     return Frame(  # by position: so many keywords take 3 us
         raw.sequence,
         raw.device_time,
@@ -428,7 +436,7 @@ def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: C
         measurement.pressure,
         measurement.pressure_std,
         measurement.rest_counts,
-        converter.geometry,
-        partial(converter.contacts.of, measurement.view),
+        measurement.geometry,
+        measurement.contacts,
         connection.now,
     )

@@ -17,18 +17,20 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 from weakref import ref
 
 import numpy as np
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
-from ..common.compiled import Records, record, zeros
+from ..common.compiled import Records, record
 from ..common.geometry import Geometry
-from ._contact_frame import NO_ROOM, take_frame
+from ._contact_frame import take_frame
 from ._tare import KNOWN_DRIFT
-from ._touch import Patch, Progress, Skin, Touched, Track, Untouched
+from ._touch import Memory, Patch, Scan, Skin, Untouched
 
 DRIFT_PER_S = 0.003
 """relative change of a rest resistance per second: warming up takes minutes. A finger presses much faster"""
@@ -99,29 +101,21 @@ class ContactTracker:
     ) -> None:
         """Begin with an untouched skin; see :class:`Touch`."""
         self.geometry = geometry
-        rows, columns = geometry.shape
-        skin, count = Skin(geometry), rows * columns
         untouched = record(
             Untouched,
             full_scale_kpa=full_scale_kpa,
             most_drift_kpa=drift_kpa,
             drift_kpa_per_s=drift_kpa / KNOWN_DRIFT * DRIFT_PER_S,
             faults_press=float(faults_press),
-            columns=columns,
+            columns=geometry.shape[1],
         )
-        self._skin = (
-            *(untouched, skin.spots, skin.rows, skin.columns),
-            *(skin.near, skin.weights, skin.opposite),
+        count = geometry.areas_mm2.size
+        self._skin, self._memory, self._scan = (
+            Skin.of(geometry, untouched),
+            Memory.of_nothing(count),
+            Scan.of_size(count),
         )
-        self._cells, self._labels = zeros(Touched, count), np.zeros(count, dtype=np.intp)
-        self._cells["pressed_s"], self._cells["read_s"] = np.inf, -np.inf
-        self._patches, self._order = zeros(Patch, count), np.empty(count, dtype=np.intp)
-        self._progress, self._tracks = zeros(Progress, 1), zeros(Track, count + 16)
-        self._progress["time_s"] = -np.inf
-        self._remembered = np.empty(2 * count, dtype=np.intp)
-        self._pressure, self._std = np.empty((2, rows, columns))
-        self._unread = np.empty((rows, columns), dtype=np.bool_)
-        self._frame = self._pressure.ravel(), self._std.ravel(), self._unread.ravel()
+        self._given = [each.reshape(geometry.shape) for each in self._scan[:3]]
 
     def update(
         self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray, unread: BoolArray | None = None
@@ -141,22 +135,11 @@ class ContactTracker:
         self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray, unread: BoolArray | None = None
     ) -> Found:
         """The same as records, of which :meth:`contacts` makes contacts."""
-        self._pressure[...], self._std[...], self._unread[...] = pressure_kpa, std_kpa, unread is not None and unread
-        while (count := self._take(time_s)) == NO_ROOM:
-            tracks, self._tracks = self._tracks, zeros(Track, 2 * self._tracks.size)
-            np.asarray(self._tracks)[: tracks.size] = tracks
-            self._remembered = np.concatenate([self._remembered, self._remembered])
-        touched = int(self._progress["touched"].item())
-        return Found(self._patches[:count].copy(), self._order[:touched].copy())
-
-    def _take(self, time_s: float) -> int:
-        return take_frame.unchecked(
-            *self._skin,
-            *(self._cells, self._labels, self._patches, self._order),
-            *(self._progress, self._tracks, self._remembered),
-            *self._frame,
-            time_s,
-        )
+        for array, values in zip(self._given, (pressure_kpa, std_kpa, unread is not None and unread), strict=True):
+            array[...] = values
+        count = take_frame.unchecked(self._skin, self._memory, self._scan, time_s)
+        touched = int(self._memory.progress["touched"].item())
+        return Found(self._memory.patches[:count].copy(), self._memory.order[:touched].copy())
 
     def contacts(self, found: Found) -> tuple[Contact, ...]:
         """The contacts of a frame, the one with the largest force first."""
@@ -222,8 +205,8 @@ class ContactsOfFrames:
                 view.contacts = self._tracker.contacts(view.found)
             return view.contacts
 
-    def pass_by(self, view: PressureView) -> None:
-        """Take a new frame, or keep it until contacts are asked for."""
+    def pass_by(self, view: PressureView) -> Callable[[], tuple[Contact, ...]]:
+        """Take a new frame, or keep it until contacts are asked for. Returns a function that asks for its contacts."""
         self._waiting.append(ref(view))
         if self._asked:
             with self._lock:
@@ -231,6 +214,7 @@ class ContactsOfFrames:
         elif len(self._waiting) > self._most_waiting:
             with self._lock:
                 self._forget_dead()
+        return partial(self.of, view)
 
     def catch_up(self) -> None:
         """Take the frames that wait, as on a request."""

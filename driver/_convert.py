@@ -224,8 +224,10 @@ class Converter:
                     array.setflags(write=False)
             self._counters.reasons = reason
             view = PressureView(frame.time_s, pressure, std, unread)
-            self.contacts.pass_by(view)
-            found.append(Converted(valid, reason, resistance, pressure, std, view, rest_counts, self.starts))
+            contacts = self.contacts.pass_by(view)
+            found.append(
+                Converted(valid, reason, resistance, pressure, std, rest_counts, self.geometry, contacts, self.starts)
+            )
         read.clear()
 
     def _read_present(self, frame: RawFrame) -> Measurement:

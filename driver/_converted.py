@@ -1,14 +1,16 @@
-"""``Converted``: the values of one frame, as :class:`._convert.Converter` hands them over."""
+"""``Converted``: the values of one frame, of one board (:mod:`._convert`) or of several (:mod:`._joined`)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..common.arrays import BoolArray, FloatArray
-from ._contacts import PressureView
+from ..common.geometry import Geometry
+from ._contacts import Contact
 
 
 class Converted(NamedTuple):
@@ -23,8 +25,9 @@ class Converted(NamedTuple):
     """kPa"""
     pressure_std: FloatArray
     """kPa"""
-    view: PressureView
     rest_counts: FloatArray
     """where the circuit is not known; else 0"""
+    geometry: Geometry
+    contacts: Callable[[], tuple[Contact, ...]]
     estimator_starts: int
     """number of times that the estimator has started without memory, up to this frame"""

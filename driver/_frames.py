@@ -95,8 +95,7 @@ class Frames:
         self.fault = Fault(0, LinkError("none"), 0)
         self.end: OhmskinError | None = None
         """why no frame will come any more"""
-        self.away: str | None = None
-        """why the port is lost, while the driver tries to open it again"""
+        self._away: str | None = None
         self.on_converted: list[Callable[[RawFrame, Converted], None]] = []
         """called with every measurement: for recorders"""
         self._converter: Converter | None = None
@@ -150,8 +149,13 @@ class Frames:
 
     def set_away(self, reason: str | None) -> None:
         """Tell readers that the port is lost and may come back, or is back (None)."""
-        self.away = reason
+        self._away = reason
         self.wake()
+
+    @property
+    def away(self) -> str | None:
+        """Why the port is lost, while the driver tries to open it again; None: it is there."""
+        return self._away
 
     def finish(self, error: OhmskinError) -> None:
         """Tell readers that no frame will come any more. The first reason counts."""
@@ -273,7 +277,7 @@ class Frames:
         Frames from before the estimator's last start, as at a tare, are not among them.
         """
         with self._converting, self.lock:
-            starts = 0 if self._converter is None else self._converter.starts
+            starts = self.starts
             kept = [one for one in self._kept if one.converted and one.converted.estimator_starts == starts]
         first = next((k for k, one in enumerate(kept) if one.monotonic_time > monotonic_s), len(kept))
         return kept[max(first - 1, 0) :]
@@ -323,6 +327,11 @@ class Frames:
     @converter.setter
     def converter(self, converter: Converter) -> None:
         self._converter = converter
+
+    @property
+    def starts(self) -> int:
+        """Number of times that the estimator has started without memory."""
+        return 0 if self._converter is None else self._converter.starts
 
     @property
     def skipped(self) -> int:

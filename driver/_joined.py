@@ -6,31 +6,30 @@ shows the newest frame of each board. A board that has not sent for :data:`SILEN
 are not valid (``Reason.MISSING``).
 
 All boards of a computer are on its one clock (:attr:`.Frame.monotonic_time`); recordings of one skin are merged by the
-times at which their frames came, so that a replay gives the same frames each time.
+times at which their frames came, so that a replay gives the same frames each time. Readers take joined frames from a
+queue as those of one board (:class:`._frames.Frames`).
 """
 
 from __future__ import annotations
 
-import copy
 import heapq
-import math
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
-from functools import partial
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from ..circuits import Reason
 from ..common.arrays import AnyArray
-from ..common.events import SignalSafeEvent
 from ..common.geometry import Geometry
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView, Touch
+from ._converted import Converted
 from ._frame import Frame
+from ._frames import Delivery, Frames
+from ._skin import BoardSkin
+from ._statistics import Counters
+from ._stream import RawFrame
 
 SILENT_S = 0.2
 """a board that has sent no frame for longer is not waited for; until then its last one counts"""
@@ -82,15 +81,21 @@ class Joiner:
         self._contacts = ContactsOfFrames(ContactTracker(self.geometry, *touch))
         self._last: list[Frame | None] = [None] * len(boards)
         self._fresh = [False] * len(boards)
+        self.newest: Frame | None = None
+        """of any board"""
+        self._joined = self._overruns = self._reconnects = self._reboots = 0
+        self._lost: int | None = 0
+        self.starts = 0
+        """joined frames since whose predecessor an estimator has started anew"""
 
-    def add(self, board: int, frame: Frame) -> list[Frame]:
+    def add(self, board: int, frame: Frame) -> list[RawFrame]:
         """The joined frames, none or more, that follow from a frame of a board."""
         waits_long = any(
             fresh and last is not None and frame.monotonic_time - last.monotonic_time > SILENT_S
             for fresh, last in zip(self._fresh, self._last, strict=True)
         )
         joined = [self._join()] if self._fresh[board] or waits_long else []
-        self._last[board], self._fresh[board] = frame, True
+        self._last[board], self._fresh[board], self.newest = frame, True, frame
         if all(
             fresh or last is None or frame.monotonic_time - last.monotonic_time > SILENT_S
             for fresh, last in zip(self._fresh, self._last, strict=True)
@@ -98,11 +103,11 @@ class Joiner:
             joined.append(self._join())
         return joined
 
-    def rest(self) -> list[Frame]:
+    def rest(self) -> list[RawFrame]:
         """The joined frame of what has not been shown yet, if there is any."""
         return [self._join()] if any(self._fresh) else []
 
-    def _join(self) -> Frame:
+    def _join(self) -> RawFrame:
         parts, fresh = list(self._last), list(self._fresh)
         self._fresh = [False] * len(parts)
         new = [part for part, is_new in zip(parts, fresh, strict=True) if is_new and part is not None]
@@ -121,35 +126,33 @@ class Joiner:
         valid = reason == 0
         unread = old | ~(valid | (reason == _NOISY))
         view = PressureView(newest.monotonic_time, pressure, std, unread)
-        self._contacts.pass_by(view)
         resistance = np.where(valid, self._cells(parts, lambda frame: frame.resistance), np.nan)
-        arrays = {
-            "counts": self._cells(parts, lambda frame: frame.counts, 0, 0).astype(np.uint16),
-            "valid": valid,
-            "reason": reason,
-            "resistance": resistance,
-            "pressure": pressure,
-            "pressure_std": std,
-            "rest_counts": self._cells(parts, lambda frame: frame.rest_counts, 0.0, 0.0),
-        }
-        for array in arrays.values():
+        counts = self._cells(parts, lambda frame: frame.counts, 0, 0).astype(np.uint16)
+        rest_counts = self._cells(parts, lambda frame: frame.rest_counts, 0.0, 0.0)
+        for array in (counts, valid, reason, resistance, pressure, std, rest_counts):
             array.setflags(write=False)
-        return Frame(
+        self._joined += 1
+        self._lost = total([self._lost, *(one.lost_before for one in new)])
+        self._overruns += any(one.overrun for one in new)
+        self._reconnects += any(one.reconnected for one in new)
+        self._reboots += any(one.rebooted for one in new)
+        self.starts += any(one.estimator_restarted for one in new)
+        contacts = self._contacts.pass_by(view)
+        return RawFrame(
+            self._joined,
             sequence=None,
             device_time=None,
+            counts=counts,
             host_time=newest.host_time,
             monotonic_time=newest.monotonic_time,
-            lost_before=total([one.lost_before for one in new]),
-            skipped_before=0,
-            overrun=any(one.overrun for one in new),
-            reconnected=any(one.reconnected for one in new),
-            rebooted=any(one.rebooted for one in new),
-            estimator_restarted=any(one.estimator_restarted for one in new),
-            repeated=False,
-            geometry=self.geometry,
-            _contacts=partial(self._contacts.of, view),
-            _now=lambda: newest.monotonic_time + newest.age,
-            **arrays,
+            time_s=newest.monotonic_time,
+            lost=self._lost,
+            overruns=self._overruns,
+            reconnects=self._reconnects,
+            reboots=self._reboots,
+            converted=Converted(
+                valid, reason, resistance, pressure, std, rest_counts, self.geometry, contacts, self.starts
+            ),
         )
 
     def _cells(
@@ -173,62 +176,58 @@ def total(numbers: Sequence[int | None]) -> int | None:
     return None if None in numbers else sum(number or 0 for number in numbers)
 
 
-class _Joined(NamedTuple):
-    """A joined frame in the stream, with what has been counted up to it."""
+class JoinedFrames(Frames):
+    """The queue of joined frames, which come converted."""
 
-    number: int
-    frame: Frame
-    lost: int | None
-    events: tuple[int, ...]
-    """numbers of frames so far with each of :data:`_EVENTS`"""
-
-
-_EVENTS = ("overrun", "reconnected", "rebooted", "estimator_restarted")
-
-
-class Stream:
-    """The last joined frames, and those who wait for the next."""
-
-    def __init__(self, joiner: Joiner, boards: Sequence[Iterable[Frame]], *, newest_only: bool, queue: int) -> None:
-        self.newest_only = newest_only
+    def __init__(self, joiner: Joiner, boards: Sequence[BoardSkin], delivery: Delivery, queue: int) -> None:
+        super().__init__(delivery, queue, Counters())
         self._joiner, self._boards = joiner, boards
-        self._kept: deque[_Joined] = deque(maxlen=queue)
-        self._waiting: list[SignalSafeEvent] = []
-        self._lock = threading.RLock()
+        self._joining = threading.RLock()
         self._ends: dict[int, OhmskinError] = {}
-        self.end: OhmskinError | None = None
-        """why no frame will come any more"""
         self._played: Iterator[tuple[float, int, Frame]] | None = None
         """frames of recordings by time, with the numbers of their boards"""
+
+    @property
+    def away(self) -> str | None:
+        """Why boards are lost, while the driver tries to open their ports again; None: all are there."""
+        return "; ".join(f"{board.port_name}: {board.away}" for board in self._boards if board.away) or None
+
+    @property
+    def starts(self) -> int:
+        """Joined frames since whose predecessor an estimator has started anew."""
+        return self._joiner.starts
 
     def play(self) -> None:
         """Take the frames of recordings when they are asked for."""
 
-        def of_board(board: int, skin: Iterable[Frame]) -> Iterator[tuple[float, int, Frame]]:
-            for frame in skin:
+        def of_board(board: int) -> Iterator[tuple[float, int, Frame]]:
+            for frame in self._boards[board]:
                 yield frame.host_time, board, frame
 
-        self._played = heapq.merge(*(of_board(board, skin) for board, skin in enumerate(self._boards)))
+        self._played = heapq.merge(*map(of_board, range(len(self._boards))))
 
-    @property
-    def newest(self) -> _Joined | None:
-        return self._kept[-1] if self._kept else None
+    def catch_up(self, last: int | None = None) -> None:
+        """Play recordings up to the joined frame ``last``; None: up to the next one."""
+        with self._joining:
+            last = 1 + (0 if self.newest is None else self.newest.index) if last is None else last
+            while self._played is not None and not (self.has_after(last - 1) or self.is_full() or self.end):
+                following = next(self._played, None)
+                if following is None:
+                    self.finish(LinkEnded("the recordings are over"))
+                else:
+                    self.arrive(*following[1:])
 
     def arrive(self, board: int, frame: Frame) -> None:
         """Take the next frame of a board."""
-        with self._lock:
-            self._keep(self._joiner.add(board, frame))
-        self._wake()
+        with self._joining:
+            for joined in self._joiner.add(board, frame):
+                self.put(joined)
+        self.wake()
 
-    def _keep(self, frames: list[Frame]) -> None:
-        for joined in frames:
-            before = self.newest
-            lost = joined.lost_before
-            if before is not None:
-                lost = None if lost is None or before.lost is None else before.lost + lost
-            earlier = (0,) * len(_EVENTS) if before is None else before.events
-            events = tuple(so_far + getattr(joined, name) for so_far, name in zip(earlier, _EVENTS, strict=True))
-            self._kept.append(_Joined(1 if before is None else before.number + 1, joined, lost, events))
+    def put(self, frame: RawFrame) -> None:
+        """Add the newest joined frame."""
+        super().put(frame)
+        self._last, self.done = frame, frame.index
 
     def part_ended(self, board: int, error: Exception) -> None:
         """A board sends no more frames; the skin ends with its last one."""
@@ -238,121 +237,36 @@ class Stream:
             self.finish(broken[0] if broken else self._ends[board])
 
     def finish(self, error: OhmskinError) -> None:
-        """No frame will come any more. The first reason counts."""
-        with self._lock:
+        """Show what has not been shown yet; no frame will come any more. The first reason counts."""
+        with self._joining:
             if self.end is None:
-                self._keep(self._joiner.rest())
-                self.end = error
-        self._wake()
-
-    def close(self, error: OhmskinError) -> None:
-        """Drop the frames, and tell readers that they get no more."""
-        with self._lock:
-            self._kept.clear()
-            self.end, self._played = error, None
-        self._wake()
-
-    def _wake(self) -> None:
-        with self._lock:
-            for event in self._waiting:
-                event.set()
-
-    def since(self, monotonic_s: float) -> list[tuple[_Joined, _Joined | None]]:
-        """The frames that came after this time, each with the one before it."""
-        with self._lock:
-            kept: list[_Joined] = list(self._kept)
-        pairs = zip(kept, [None, *kept], strict=False)
-        return [(one, before) for one, before in pairs if one.frame.monotonic_time > monotonic_s]
-
-    def after(self, number: int, deadline_s: float) -> _Joined:
-        """The frame for a reader who has had those up to ``number``; errors as :meth:`.Skin.read`."""
-        event = SignalSafeEvent()
-        with self._lock:
-            self._waiting.append(event)
-        try:
-            while True:
-                with self._lock:
-                    event.clear()
-                    found = self._following(number)
-                    if found is None and self.end is None and self._played is not None:
-                        self._play_on()
-                        continue
-                if found is not None:
-                    return found
-                if self.end is not None:
-                    raise copy.copy(self.end)
-                left_s = deadline_s - time.monotonic()
-                if left_s <= 0:
-                    raise LinkTimeout(f"no frame of {len(self._boards)} boards came in time")
-                event.wait(min(left_s, 1.0))
-        finally:
-            with self._lock:
-                self._waiting.remove(event)
-
-    def _following(self, number: int) -> _Joined | None:
-        if not self._kept or self._kept[-1].number <= number:
-            return None
-        if self.newest_only:
-            return self._kept[-1]
-        return self._kept[max(number + 1 - self._kept[0].number, 0)]
-
-    def _play_on(self) -> None:
-        assert self._played is not None
-        try:
-            _, board, frame = next(self._played)
-        except StopIteration:
-            self.finish(LinkEnded("the recordings are over"))
-        else:
-            self.arrive(board, frame)
+                for joined in self._joiner.rest():
+                    self.put(joined)
+            super().finish(error)
 
 
-class JoinedPlace:
-    """A reader's place among joined frames."""
+class JoinedBoards:
+    """The boards of a joined skin in the place of a :class:`._connection.Connection`."""
 
-    def __init__(self, stream: Stream, *, from_start: bool = False) -> None:
-        self._stream = stream
-        self._before = None if from_start else stream.newest
-        self._lock = threading.Lock()
+    def __init__(self, boards: Sequence[BoardSkin], frames: JoinedFrames, joiner: Joiner) -> None:
+        self._boards, self._joiner = boards, joiner
+        self.frames: Frames = frames
 
-    def next_frame(self, timeout_s: float) -> Frame:
-        """Wait for the next frame; errors as :meth:`.Skin.read`."""
-        with self._lock:
-            before = self._before
-            found = self._stream.after(0 if before is None else before.number, time.monotonic() + timeout_s)
-            self._before = found
-        return counted_since(found, before)
+    @property
+    def port_name(self) -> str:
+        """Names of the ports."""
+        return " + ".join(board.port_name for board in self._boards)
 
-    def latest(self, max_age_s: float, timeout_s: float) -> Frame:
-        """The newest frame, had before or not; errors as :meth:`.Skin.latest`."""
-        until_s = time.monotonic() + timeout_s
-        while True:
-            newest = self._stream.newest
-            age_s = math.inf if newest is None else newest.frame.age
-            if newest is not None and age_s <= max_age_s:
-                with self._lock:
-                    before, self._before = self._before, newest
-                if before is not None and before.number == newest.number:
-                    return newest.frame.again()
-                return counted_since(newest, before)
-            try:
-                self._stream.after(0 if newest is None else newest.number, until_s)
-            except LinkTimeout as error:
-                found = f"the newest is {age_s:.3g} s old" if newest is not None else "none has come"
-                raise LinkTimeout(f"no frame of at most {max_age_s:g} s: {found}") from error
+    def poll(self, *, patient: bool = False) -> None:
+        """Take the next joined frame of recordings; the frames of boards come by themselves."""
+        self.frames.catch_up()
 
-    def pass_all(self) -> None:
-        """Leave out the frames that have come."""
-        with self._lock:
-            self._before = self._stream.newest
+    def now(self) -> float:
+        """Present time of the board whose frame came last."""
+        newest = self._joiner.newest
+        return time.monotonic() if newest is None else newest.monotonic_time + newest.age
 
-    def leave(self) -> None:
-        """Nothing is kept for a reader."""
-
-
-def counted_since(joined: _Joined, before: _Joined | None) -> Frame:
-    """The frame for a reader whose last one was ``before``."""
-    if before is None:
-        return replace(joined.frame, skipped_before=joined.number - 1)
-    lost = None if joined.lost is None or before.lost is None else joined.lost - before.lost
-    happened: dict[str, Any] = {name: joined.events[k] > before.events[k] for k, name in enumerate(_EVENTS)}
-    return replace(joined.frame, lost_before=lost, skipped_before=joined.number - before.number - 1, **happened)
+    def nothing_came(self, what: str, timeout_s: float) -> LinkTimeout:
+        """The error for a wait for ``what`` that timed out."""
+        away = f" ({self.frames.away})" if self.frames.away else ""
+        return LinkTimeout(f"{self.port_name}: no {what} of {len(self._boards)} boards within {timeout_s:g} s{away}")

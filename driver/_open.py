@@ -2,35 +2,39 @@
 
 from __future__ import annotations
 
-import copy
 import weakref
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
+from time import monotonic
 from typing import Any, Unpack, cast
 
 import numpy as np
 
 from ..circuits import Design
-from ..common.checks import count, number, positive
+from ..common import compiled
+from ..common.checks import path_text, positive
 from ..common.files import of_board
 from ..common.geometry import Geometry
 from ..common.progress import Progress, silent
-from ..errors import InputError, LinkEnded, LinkError, LinkTimeout
+from ..errors import InputError, LinkEnded, LinkError
 from ..wire import Order
-from ._consumer import FrameCallback
+from ._connection import await_free
+from ._consumer import Consumer
 from ._contacts import Touch
-from ._frame import Frame
-from ._joined import JoinedPlace, Joiner, Stream, counted_since, total, widened
-from ._options import QUEUE, SkinSettings
+from ._discover import LONGEST_SEARCH_S, find_board
+from ._frames import Delivery
+from ._joined import JoinedBoards, JoinedFrames, Joiner, total, widened
+from ._options import QUEUE, Options, SkinSettings
 from ._orders import Answer
-from ._port import Arrival
+from ._port import Arrival, BytePort
+from ._port_names import EMULATED_HERE, has_gone, is_unpaced, refuse_missing
+from ._reconnect import PortFinder
 from ._recording import Recording
-from ._replay import RecordedSettings
-from ._skin import MANY, MAX_AGE_S, BoardSkin
+from ._replay import RecordedSettings, ReplayPort
+from ._skin import BoardSkin
 from ._statistics import LinkStatistics
 from ._tare import KNOWN_DRIFT, SPREAD, Tare
 
@@ -78,16 +82,60 @@ class Skin(BoardSkin):
         if isinstance(port, list | tuple):
             given: dict[str, Any] = dict(settings, serial_number=serial_number, baudrate=baudrate, speed=speed)
             return _open_joined(port, record, overwrite=overwrite, progress=progress, **given)
-        return super().open(
-            cast("str | Path | None", port),  # anything else is refused there
-            serial_number=serial_number,
-            baudrate=baudrate,
-            record=record,
-            overwrite=overwrite,
-            speed=speed,
-            progress=progress,
-            **settings,
-        )
+        opened: BytePort
+        reopen: Callable[[], BytePort]
+        one = cast("str | Path | None", port)  # anything else is refused here
+        name = None if one is None else path_text("port", one, "the name of a port or of a recording")
+        played = ReplayPort(name, speed, progress) if name is not None and name.endswith(".mcap") else None
+        # All errors in the arguments are reported before anybody waits for a board or for the compiler.
+        if played is not None:
+            asked = Options.of(recorded=played.settings, recording=played.name, serial_number=serial_number, **settings)
+        elif speed is not None:
+            raise InputError(f"speed is {speed}, but only a recording (a file that ends in .mcap) has one")
+        else:
+            if name is not None and is_unpaced(name) and settings.get("delivery") is None:
+                settings["delivery"] = "lossless"
+            asked = Options.of(serial_number=serial_number, **settings)
+        if record is not None:
+            Recording.check(record, overwrite=overwrite)
+        finder = _finder(name, asked, baudrate) if played is None else None
+        began_s = monotonic()
+        # A board in this process starts when it is opened, and would fall behind while its cells are plain Python.
+        starts_here = name is not None and name.startswith(EMULATED_HERE)
+        compiles_aside = not starts_here and compiled.compile_aside()
+        if finder is not None:
+            if not compiles_aside:
+                compiled.load()  # while no frames come
+            if has_gone(finder.name):
+                raise LinkError(
+                    f"{finder.name}: the port has gone in the {monotonic() - began_s:.0f} s in which machine code was "
+                    "prepared, which is kept for the next time. Plug the board in, or start the emulation, again"
+                )
+            opened, reopen = finder.open(), finder.open_again
+        else:
+            assert played is not None
+            opened, reopen = played, played.reopen
+        skin = cls.__new__(cls)
+        skin._begin(opened, asked, reopen, record, overwrite=overwrite)
+        if finder is not None:
+            handshake = skin._connection.handshake
+            finder.board_is_numbered = lambda: bool(handshake.serial_number)
+            skin._must_be(serial_number)
+        return skin
+
+
+def _finder(port: str | None, asked: Options, baudrate: int | None) -> PortFinder:
+    """Finder of the board's port, by name or by serial number; errors as for :meth:`Skin.open`."""
+    family = asked.family
+    if baudrate is not None:
+        positive("baudrate", baudrate, "bit/s")
+    if port is None:
+        if asked.serial_number is None:
+            raise InputError("neither a port nor a serial number; expected one of them")
+        port = find_board(asked.serial_number, board=family, timeout=min(asked.timeout_s, LONGEST_SEARCH_S))
+    refuse_missing(port)  # before the wait for the compiler
+    await_free(port)
+    return PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)
 
 
 def _open_joined(
@@ -129,7 +177,7 @@ class JoinedSkin(Skin):
     Made by ``Skin.open([...])``.
     """
 
-    def __init__(self, boards: Sequence[Skin], *, delivery: str | None = None, queue: int = QUEUE) -> None:
+    def __init__(self, boards: Sequence[Skin], *, delivery: Delivery | None = None, queue: int = QUEUE) -> None:
         """Join open skins, which belong to this one from then on.
 
         Raises:
@@ -149,16 +197,17 @@ class JoinedSkin(Skin):
         self.family, self.cell, self.calibration = boards[0].family, boards[0].cell, None
         played = [board.recorded_s for board in boards]
         self.recorded_s = None if None in played else max(seconds or 0.0 for seconds in played)
-        every = delivery == "every" or self.recorded_s is not None
-        self._stream = Stream(joiner, boards, newest_only=not every, queue=queue)
-        self._place = JoinedPlace(self._stream, from_start=True)
-        self._joined_callbacks: list[FrameCallback] = []
+        if self.recorded_s is not None:
+            delivery = "lossless"
+        frames = JoinedFrames(joiner, boards, "newest" if delivery is None else delivery, queue)
+        self._frames, self._source = frames, JoinedBoards(boards, frames, joiner)
+        self._consumer, self._callbacks = Consumer(self._source, after=0), []
         weakref.finalize(self, _close, self._boards).atexit = False
         if self.recorded_s is not None:
-            self._stream.play()
+            frames.play()
         else:
             for k, board in enumerate(boards):
-                board.on_frame(partial(self._stream.arrive, k), partial(self._stream.part_ended, k))
+                board.on_frame(partial(frames.arrive, k), partial(frames.part_ended, k))
 
     def _refused(self, what: str) -> InputError:
         return InputError(f"{what} belongs to one board; ask one of the {len(self.boards)} in boards")
@@ -169,11 +218,6 @@ class JoinedSkin(Skin):
         return self._boards
 
     # -- what is known -------------------------------------------------------------------------------------------------
-
-    @property
-    def port_name(self) -> str:
-        """Names of the ports."""
-        return " + ".join(board.port_name for board in self.boards)
 
     @property
     def serial_number(self) -> str:
@@ -237,11 +281,6 @@ class JoinedSkin(Skin):
         """Names of the estimators."""
         return ", ".join(dict.fromkeys(filter(None, (board.estimator_name for board in self.boards))))
 
-    @property
-    def away(self) -> str | None:
-        """Why boards are lost, while the driver tries to open their ports again; None: all are there."""
-        return "; ".join(f"{board.port_name}: {board.away}" for board in self.boards if board.away) or None
-
     def __repr__(self) -> str:
         rows, columns = self.shape
         return f"<JoinedSkin of {len(self.boards)} boards: {rows} x {columns}; {', '.join(map(repr, self.boards))}>"
@@ -253,76 +292,7 @@ class JoinedSkin(Skin):
             **{item.name: _together([getattr(one, item.name) for one in each]) for item in fields(each[0])}
         )
 
-    # -- frames --------------------------------------------------------------------------------------------------------
-
-    def __next__(self) -> Frame:
-        while True:
-            try:
-                return self.read()
-            except LinkEnded:
-                raise StopIteration from None
-            except LinkTimeout:
-                if not self.away:
-                    raise
-
-    def read(self, timeout: float | None = None) -> Frame:
-        """Wait for the next frame, as :meth:`.Skin.read`."""
-        return self._place.next_frame(self._timeout if timeout is None else number("timeout", timeout, "s"))
-
-    def read_many(self, most: int = MANY, timeout: float | None = None) -> list[Frame]:
-        """The next frame, and those after it that have come already, as :meth:`.BoardSkin.read_many`."""
-        frames = [self.read(timeout)]
-        with suppress(LinkTimeout, LinkEnded, LinkError):
-            while len(frames) < count("most", most):
-                frames.append(self._place.next_frame(0.0))
-        return frames
-
-    def latest(self, max_age: float = MAX_AGE_S, timeout: float = 0.0) -> Frame:
-        """The newest frame, as :meth:`.Skin.latest`."""
-        return self._place.latest(positive("max_age", max_age, "s"), number("timeout", timeout, "s"))
-
-    def frames(self) -> Iterator[Frame]:
-        """An iterator with a place of its own, from now on."""
-        place = JoinedPlace(self._stream)
-
-        def follow() -> Iterator[Frame]:
-            while True:
-                try:
-                    yield place.next_frame(self._timeout)
-                except LinkEnded:
-                    return
-
-        return follow()
-
-    def __aiter__(self) -> AsyncIterator[Frame]:
-        """The frames from now on, for ``async for``."""
-        import asyncio  # takes a tenth of the driver's own time
-
-        place = JoinedPlace(self._stream)
-
-        async def follow() -> AsyncIterator[Frame]:
-            while True:
-                try:
-                    yield await asyncio.to_thread(place.next_frame, self._timeout)
-                except LinkEnded:
-                    return
-
-        return follow()
-
-    def frames_since(self, monotonic_time: float) -> list[Frame]:
-        """All frames that came after a moment, as :meth:`.Skin.frames_since`."""
-        pairs = self._stream.since(number("monotonic_time", monotonic_time, "s"))
-        if not pairs and self._stream.end is not None:
-            raise copy.copy(self._stream.end)
-        return [counted_since(one, before) for one, before in pairs]
-
-    def on_frame(
-        self, callback: Callable[[Frame], None], on_end: Callable[[Exception], None] | None = None
-    ) -> FrameCallback:
-        """Call ``callback`` with each frame from now on, as :meth:`.Skin.on_frame`."""
-        made = FrameCallback(JoinedPlace(self._stream), self.port_name, callback, on_end, keep=self)
-        self._joined_callbacks = [earlier for earlier in self._joined_callbacks if not earlier.is_over] + [made]
-        return made
+    # -- orders, recordings --------------------------------------------------------------------------------------------
 
     def on_bytes(self, tap: Callable[[Arrival], None]) -> None:
         """InputError: each board has its own."""
@@ -330,16 +300,14 @@ class JoinedSkin(Skin):
 
     def close(self) -> None:
         """Release all ports, as :meth:`.Skin.close`."""
-        for callback in self._joined_callbacks:
+        for callback in self._callbacks:
             callback.end()
         errors = _close(self.boards)
-        self._stream.close(LinkEnded(f"{self.port_name}: the skin is closed"))
-        for callback in self._joined_callbacks:
+        self._frames.close(LinkEnded(f"{self.port_name}: the skin is closed"))
+        for callback in self._callbacks:
             callback.close()
         if errors:
             raise errors[0]
-
-    # -- orders, recordings --------------------------------------------------------------------------------------------
 
     def request(self, order: Order, *, period_us: int = 0, timeout: float | None = None) -> Answer | None:
         """InputError: ask one of the boards."""
@@ -372,7 +340,7 @@ class JoinedSkin(Skin):
                 if one.exception() is None:
                     board.undo_tare()
             raise failed[0]
-        self._place.pass_all()
+        self._consumer.forget()
         return self._as_one([one.result() for one in made])
 
     @property

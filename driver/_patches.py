@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
-from ..common.compiled import Flags, PlaceRows, Places, Records, Row, Rows, loop
+from ..common.compiled import Flags, PlaceRows, Places, Records, Row, loop
 from ..common.noise import select
-from ._touch import Line, Patch, Spot, Touched, Untouched
+from ._touch import Line, Memory, Patch, Scan, Skin, Spot, Touched
 
 START_STDS, JOIN_STDS, STAY_STDS = 5.0, 2.5, 0.5
 """pressure of a cell, in its standard deviations, that begins a contact, joins one, stays in one"""
@@ -43,63 +43,28 @@ ROW, COLUMN = 0, 1
 
 
 @loop
-def find(
-    untouched: Untouched,
-    spots: Records[Spot],
-    near: PlaceRows,
-    weights: Rows,
-    rows: Records[Line],
-    columns: Records[Line],
-    cells: Records[Touched],
-    before: Places,
-    patches: Records[Patch],
-    pressure: Row,
-    height: Row,
-    std: Row,
-    missing: Flags,
-    opposite: PlaceRows,
-    excess: Row,
-    wake: Row,
-    begins: Flags,
-    connected: Places,
-) -> int:
+def find(skin: Skin, memory: Memory, scan: Scan) -> int:
     """Find the patches of a frame: connected cells that may be touched, and are a contact's.
 
-    Args:
-        untouched: thresholds.
-        spots: (n,)
-        near: (n, most) as ``weights``.
-        weights: see ``near``.
-        rows: lines, as ``columns``.
-        columns: see ``rows``.
-        cells: (n,) what is remembered of them.
-        before: (n,) labels of the last frame.
-        patches: (n,) contacts of the last frame.
-        pressure: (n,) kPa.
-        height: (n,) kPa, written: the pressure, interpolated where a cell is missing.
-        std: (n,) standard deviations, unknown ones as 0.
-        missing: (n,) cells without a recent reading; within a patch written: those that are interpolated.
-        opposite: (m, 3) cells with two neighbours on opposite sides.
-        excess: (n,) written: pressure beyond drift.
-        wake: (n,) written: pressure that a finger leaves behind it.
-        begins: (n,) written: cells that are pressed for sure.
-        connected: (n,) written: number of each cell's patch, from 1; 0: none.
+    Written are ``height``, ``missing``, ``excess``, ``wake``, ``begins`` and ``connected`` of the scan.
 
     Returns:
         The number of patches.
 
     """
-    count, full = pressure.size, untouched.full_scale_kpa
+    cells, before, connected = memory.cells, scan.before, scan.connected
+    pressure, std, excess, wake, begins = scan.pressure, scan.known_std, scan.excess, scan.wake, scan.begins
+    count, full = pressure.size, skin.untouched.full_scale_kpa
     wakes = False
     for i in range(count):
         wakes = wakes or cells[i].wake_kpa > 0.0
     some, unsure = False, False
     loaded = np.empty(count, np.bool_)
     for i in range(count):
-        excess[i], wake[i], height[i] = pressure[i] - cells[i].drift_kpa, 0.0, pressure[i]
+        excess[i], wake[i], scan.height[i] = pressure[i] - cells[i].drift_kpa, 0.0, pressure[i]
         if wakes:
             largest = cells[i].wake_kpa
-            for other in near[i]:
+            for other in skin.near[i]:
                 if other == count:
                     break
                 largest = max(largest, cells[other].wake_kpa)
@@ -110,9 +75,9 @@ def find(
         some = some or begins[i] or before[i] > 0
         unsure = unsure or loaded[i]
     if unsure:
-        own = beyond_columns(untouched, spots, columns, excess)
+        own = beyond_columns(skin, excess)
         for i in range(count):
-            if loaded[i] and together(i, own, std, near, weights, spots):
+            if loaded[i] and together(i, own, std, skin):
                 begins[i] = some = True
     if not some:
         connected[:] = 0
@@ -121,15 +86,15 @@ def find(
     for i in range(count):
         stds, share = (STAY_STDS, STAY_SHARE) if before[i] > 0 else (JOIN_STDS, JOIN_SHARE)
         wanted[i] = begins[i] or excess[i] > max(stds * std[i], share * full)
-    bridge(pressure, wanted, missing, opposite, height)
-    found = label(wanted, near, connected)
+    bridge(wanted, skin.opposite, scan)
+    found = label(wanted, skin.near, connected)
     kept = np.zeros(found + 1, np.bool_)
     for i in range(count):
         if begins[i]:
             kept[connected[i]] = True
     starts, order = np.empty(found + 2, np.intp), np.empty(count, np.intp)
     sort_by_label(connected, found, starts, order)
-    keep_lasting(connected, kept, before, patches, height)
+    keep_lasting(kept, memory.patches, scan)
     for k in range(1, found + 1):
         own_cells = order[starts[k] : starts[k + 1]]
         behind, fresh = True, True
@@ -138,7 +103,7 @@ def find(
             fresh = fresh and before[cell] == 0
         kept[k] = kept[k] and not behind
         if kept[k] and fresh:
-            kept[k] = is_no_disturbance(own_cells, untouched, spots, rows, columns, cells, excess, std)
+            kept[k] = is_no_disturbance(own_cells, skin, cells, scan)
     numbers, contacts = np.zeros(found + 1, np.intp), 0
     for k in range(1, found + 1):
         if kept[k]:
@@ -150,7 +115,7 @@ def find(
 
 
 @loop
-def beyond_columns(untouched: Untouched, spots: Records[Spot], columns: Records[Line], excess: Row) -> Row:
+def beyond_columns(skin: Skin, excess: Row) -> Row:
     """The excess (n,) beyond what most cells of a column have in common.
 
     An error of the sum of a divider's readings moves a whole column.
@@ -158,12 +123,12 @@ def beyond_columns(untouched: Untouched, spots: Records[Spot], columns: Records[
     own, there = np.empty(excess.size), np.empty(excess.size)
     for i in range(excess.size):
         own[i] = excess[i] if math.isfinite(excess[i]) else 0.0
-    across = int(untouched.columns)
-    for k in range(columns.size):
-        line, known = columns[k], 0
+    across = int(skin.untouched.columns)
+    for k in range(skin.columns.size):
+        line, known = skin.columns[k], 0
         for along in range(int(line.first), int(line.last) + 1):
             cell = along * across + k % across
-            if spots[cell].exists > 0.0:
+            if skin.spots[cell].exists > 0.0:
                 there[known] = own[cell]
                 known += 1
         if known:
@@ -174,8 +139,9 @@ def beyond_columns(untouched: Untouched, spots: Records[Spot], columns: Records[
 
 
 @loop
-def together(cell: int, own: Row, std: Row, near: PlaceRows, weights: Rows, spots: Records[Spot]) -> bool:
+def together(cell: int, own: Row, std: Row, skin: Skin) -> bool:
     """Whether a cell is loaded by what its neighbours say together."""
+    near, weights, spots = skin.near, skin.weights, skin.spots
     load, spread = own[cell], std[cell]
     load_beyond_row, spread_beyond_row, load_beyond_column, spread_beyond_column = 0.0, 0.0, 0.0, 0.0
     row, column = spots[cell].line[ROW], spots[cell].line[COLUMN]
@@ -199,7 +165,7 @@ def together(cell: int, own: Row, std: Row, near: PlaceRows, weights: Rows, spot
 
 
 @loop
-def bridge(pressure: Row, wanted: Flags, missing: Flags, opposite: PlaceRows, height: Row) -> None:
+def bridge(wanted: Flags, opposite: PlaceRows, scan: Scan) -> None:
     """Find the missing cells within contacts: linear interpolation over gaps of one cell.
 
     A dead line, or the column of a shorted cell, would cut a finger into two contacts. A missing cell therefore belongs
@@ -207,8 +173,9 @@ def bridge(pressure: Row, wanted: Flags, missing: Flags, opposite: PlaceRows, he
     own last one; if the middle of a finger lies on the gap, its force is a lower bound. Gaps of two cells and more are
     not bridged, since there may be two fingers, nor is a gap at the rim of the skin, which has one side only.
 
-    ``wanted`` (n,) and ``height`` (n,) are completed; of ``missing`` (n,) the bridged cells remain.
+    ``wanted`` (n,) and the scan's ``height`` are completed; of its ``missing`` the bridged cells remain.
     """
+    pressure, missing = scan.pressure, scan.missing
     count, some = pressure.size, False
     for i in range(count):
         some = some or missing[i]
@@ -224,7 +191,7 @@ def bridge(pressure: Row, wanted: Flags, missing: Flags, opposite: PlaceRows, he
         missing[i] = ways[i] > 0.0
         if missing[i]:
             between = sums[i] / ways[i]
-            wanted[i], height[i] = True, between if math.isnan(pressure[i]) else max(pressure[i], between)
+            wanted[i], scan.height[i] = True, between if math.isnan(pressure[i]) else max(pressure[i], between)
 
 
 @loop
@@ -282,21 +249,16 @@ def sort_by_label(labels: Places, count: int, starts: Places, order: Places) -> 
 
 
 @loop
-def keep_lasting(found: Places, kept: Flags, before: Places, patches: Records[Patch], height: Row) -> None:
-    """Keep patches in which contacts of the last frame continue.
+def keep_lasting(kept: Flags, patches: Records[Patch], scan: Scan) -> None:
+    """Keep patches in which contacts of the last frame, ``patches``, continue.
 
     A contact continues in the patch that has most of its force now. If none of its patches begins a contact, it
     continues in as many patches as it has fingers. Hysteresis thus lets contacts last, but makes no new contacts of
     cells that a moving finger leaves behind.
 
-    Args:
-        found: (n,) labels of patches, from 1.
-        kept: (labels,) patches that make contacts, changed.
-        before: (n,) labels of the last frame.
-        patches: contacts of the last frame.
-        height: (n,) kPa.
-
+    ``kept`` (labels,) are the patches of this frame that make contacts, changed.
     """
+    found, before = scan.connected, scan.before
     last = 0
     for i in range(found.size):
         if found[i] > 0 and before[i] > 0 and not kept[found[i]]:
@@ -316,7 +278,7 @@ def keep_lasting(found: Places, kept: Flags, before: Places, patches: Records[Pa
         for i in range(found.size):
             if before[i] == contact and found[i] > 0:
                 has[found[i]] = True
-                force[found[i]] += height[i]
+                force[found[i]] += scan.height[i]
                 begun = begun or kept[found[i]]
         most = 1 if begun else 1 + int(patches[contact - 1].others)
         for _ in range(most):
@@ -330,56 +292,42 @@ def keep_lasting(found: Places, kept: Flags, before: Places, patches: Records[Pa
 
 
 @loop
-def is_no_disturbance(
-    own: Places,
-    untouched: Untouched,
-    spots: Records[Spot],
-    rows: Records[Line],
-    columns: Records[Line],
-    cells: Records[Touched],
-    excess: Row,
-    std: Row,
-) -> bool:
+def is_no_disturbance(own: Places, skin: Skin, cells: Records[Touched], scan: Scan) -> bool:
     """Whether a new patch of cells ``own`` (m,) is a contact rather than an electrical fault."""
     since, lasts = math.inf, -math.inf
     under_range, at_once = True, False
     for i in own:
-        cell, above = cells[i], excess[i]
+        cell, above = cells[i], scan.excess[i]
         since, lasts = min(since, cell.pressed_s), max(lasts, cell.read_s - cell.pressed_s)
-        under_range = under_range and not above > STANDS_OUT * std[i]
+        under_range = under_range and not above > STANDS_OUT * scan.known_std[i]
         at_once = at_once or cell.step_kpa > AT_ONCE * above
     if since == -math.inf:
         lasts = math.inf
-    if (under_range or at_once) and may_be_fault(own, untouched, spots, rows, columns, excess):
+    if (under_range or at_once) and may_be_fault(own, skin, scan.excess):
         return lasts > INTERMITTENT_S
-    return lasts > 0.0 or not (within_line(own, spots, ROW) or within_line(own, spots, COLUMN))
+    return lasts > 0.0 or not (within_line(own, skin.spots, ROW) or within_line(own, skin.spots, COLUMN))
 
 
 @loop
-def may_be_fault(
-    own: Places,
-    untouched: Untouched,
-    spots: Records[Spot],
-    rows: Records[Line],
-    columns: Records[Line],
-    excess: Row,
-) -> bool:
+def may_be_fault(own: Places, skin: Skin, excess: Row) -> bool:
     """Whether cells ``own`` (m,) are what electrical faults move together.
 
     Whole lines move alike by a converter or a connector. What adds resistance moves a line from a crack to its end, and
     looks like a press only where loads add resistance. The estimator looks after single cells.
     """
-    least, most = math.inf, -math.inf
+    spots, least, most = skin.spots, math.inf, -math.inf
     for i in own:
         least = min(least, excess[i]) if not math.isnan(excess[i]) else -math.inf
         most = max(most, excess[i])
-    if least > ALIKE * most and (whole_lines(own, spots, rows, ROW) or whole_lines(own, spots, columns, COLUMN)):
+    if least > ALIKE * most and (
+        whole_lines(own, spots, skin.rows, ROW) or whole_lines(own, spots, skin.columns, COLUMN)
+    ):
         return True
-    if untouched.faults_press == 0.0:
+    if skin.untouched.faults_press == 0.0:
         return False
     if within_line(own, spots, ROW):
-        return to_end(own, spots, rows, ROW)
-    return within_line(own, spots, COLUMN) and to_end(own, spots, columns, COLUMN)
+        return to_end(own, spots, skin.rows, ROW)
+    return within_line(own, spots, COLUMN) and to_end(own, spots, skin.columns, COLUMN)
 
 
 @loop
@@ -414,39 +362,17 @@ def to_end(own: Places, spots: Records[Spot], lines: Records[Line], kind: int) -
 
 
 @loop
-def find_rim(
-    labels: Places,
-    count: int,
-    order: Places,
-    near: PlaceRows,
-    spots: Records[Spot],
-    untouched: Untouched,
-    excess: Row,
-    wake: Row,
-    height: Row,
-    rim: Places,
-) -> bool:
+def find_rim(count: int, touched: int, skin: Skin, memory: Memory, scan: Scan, rim: Places) -> bool:
     """Write the number of the contact (n,) that untouched loaded cells belong to; 0: none. Returns whether any does.
 
     It is the nearest one that loaded cells connect with; of equally near ones, that with the most pressure. A threshold
-    decides which cells are touched. The force of a soft contact goes on beyond it.
-
-    Args:
-        labels: (n,) of contacts, from 1 to ``count``.
-        count: of contacts.
-        order: (m,) touched cells.
-        near: (n, most)
-        spots: (n,)
-        untouched: thresholds.
-        excess: (n,) as :func:`find` writes it, and so ``wake`` and ``height``.
-        wake: see ``excess``.
-        height: see ``excess``.
-        rim: written.
-
+    decides which cells are touched. The force of a soft contact goes on beyond it. There are ``count`` contacts, of
+    ``touched`` cells.
     """
+    labels, spots, excess, height = memory.labels, skin.spots, scan.excess, scan.height
     loaded, force, some = np.empty(labels.size, np.bool_), np.zeros(count + 1), False
     for i in range(labels.size):
-        around = labels[i] == 0 and excess[i] > max(RIM_SHARE * untouched.full_scale_kpa, wake[i])
+        around = labels[i] == 0 and excess[i] > max(RIM_SHARE * skin.untouched.full_scale_kpa, scan.wake[i])
         loaded[i] = around or labels[i] > 0
         some = some or around
         force[labels[i]] += height[i] if labels[i] > 0 else 0.0
@@ -454,12 +380,12 @@ def find_rim(
     if not some:
         return False
     regions = np.empty(labels.size, np.intp)
-    label(loaded, near, regions)
+    label(loaded, skin.near, regions)
     for cell in range(labels.size):
         if not loaded[cell] or labels[cell] > 0:
             continue
         least = np.inf
-        for other in order:
+        for other in memory.order[:touched]:
             if regions[other] != regions[cell]:
                 continue
             square = 0.0

@@ -100,7 +100,6 @@ def _converter(connection: Connection, rest_changes: Sequence[RestChange], optio
             calibration=settings.calibration,
         )
         converter.try_out()
-        import scipy.optimize  # noqa: F401  # for contacts: the first one shall not wait for it
     except OhmskinError:
         raise
     except (ArithmeticError, LookupError, ValueError, TypeError, MemoryError, RecursionError) as error:

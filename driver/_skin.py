@@ -8,29 +8,23 @@ import weakref
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from time import monotonic
 from types import TracebackType
 from typing import NoReturn, Self, Unpack
 
 from ..circuits import Design
-from ..common import compiled
-from ..common.checks import count, function, loaded, number, of_kind, path_text, positive
+from ..common.checks import count, function, loaded, number, of_kind, positive
 from ..common.geometry import Geometry
-from ..common.progress import Progress, silent
 from ..common.text import printable
 from ..errors import InputError, LinkEnded, LinkError
 from ..wire import Description, Identity, Order
-from ._connection import await_free
-from ._consumer import AsyncFrames, Consumer, FrameCallback, follower, frames_since
+from ._consumer import AsyncFrames, Consumer, FrameCallback, Source, follower, frames_since
 from ._contacts import Touch
 from ._convert import Converter
-from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
 from ._options import Options, SkinSettings
 from ._orders import Answer
 from ._port import Arrival, BytePort
-from ._port_names import EMULATED_HERE, has_gone, is_unpaced, refuse_missing, usb_serial_number
-from ._reconnect import PortFinder
+from ._port_names import usb_serial_number
 from ._recording import Recording
 from ._replay import RecordedSettings, ReplayPort
 from ._set_up import begin, connect
@@ -117,7 +111,8 @@ class BoardSkin:
             if self._recorder is not None:
                 self._recorder.discard()
             raise
-        self._frames = self._connection.frames
+        self._source: Source = self._connection
+        self._frames = self._source.frames
         self.settings = settings
         """settings with which the skin was opened, for recordings"""
         self.family = options.family
@@ -127,7 +122,7 @@ class BoardSkin:
         """rest resistances and gains of the cells; None: all cells are as the cell model says"""
         self.recorded_s = port.seconds if isinstance(port, ReplayPort) else None
         """duration of the recording in s; None: the board is live"""
-        self._consumer = Consumer(self._connection, after=0)
+        self._consumer = Consumer(self._source, after=0)
         self._callbacks: list[FrameCallback] = []
         self._tares = Tares(self._frames, self._consumer, self.calibration)
         if self._recorder is not None:
@@ -138,60 +133,6 @@ class BoardSkin:
     @property
     def _converter(self) -> Converter:
         return self._connection.frames.converter
-
-    @classmethod
-    def open(
-        cls,
-        port: str | Path | None = None,
-        *,
-        serial_number: str | None = None,
-        baudrate: int | None = None,
-        record: str | Path | None = None,
-        overwrite: bool = False,
-        speed: float | None = None,
-        progress: Progress = silent,
-        **settings: Unpack[SkinSettings],
-    ) -> Self:
-        """Open one board or its recording: arguments and errors of :meth:`.Skin.open`."""
-        opened: BytePort
-        reopen: Callable[[], BytePort]
-        name = None if port is None else path_text("port", port, "the name of a port or of a recording")
-        played = ReplayPort(name, speed, progress) if name is not None and name.endswith(".mcap") else None
-        # All errors in the arguments are reported before anybody waits for a board or for the compiler.
-        if played is not None:
-            asked = Options.of(recorded=played.settings, recording=played.name, serial_number=serial_number, **settings)
-        elif speed is not None:
-            raise InputError(f"speed is {speed}, but only a recording (a file that ends in .mcap) has one")
-        else:
-            if name is not None and is_unpaced(name) and settings.get("delivery") is None:
-                settings["delivery"] = "lossless"
-            asked = Options.of(serial_number=serial_number, **settings)
-        if record is not None:
-            Recording.check(record, overwrite=overwrite)
-        finder = _finder(name, asked, baudrate) if played is None else None
-        began_s = monotonic()
-        # A board in this process starts when it is opened, and would fall behind while its cells are plain Python.
-        starts_here = name is not None and name.startswith(EMULATED_HERE)
-        compiles_aside = not starts_here and compiled.compile_aside()
-        if finder is not None:
-            if not compiles_aside:
-                compiled.load()  # while no frames come
-            if has_gone(finder.name):
-                raise LinkError(
-                    f"{finder.name}: the port has gone in the {monotonic() - began_s:.0f} s in which machine code was "
-                    "prepared, which is kept for the next time. Plug the board in, or start the emulation, again"
-                )
-            opened, reopen = finder.open(), finder.open_again
-        else:
-            assert played is not None
-            opened, reopen = played, played.reopen
-        skin = cls.__new__(cls)
-        skin._begin(opened, asked, reopen, record, overwrite=overwrite)
-        if finder is not None:
-            handshake = skin._connection.handshake
-            finder.board_is_numbered = lambda: bool(handshake.serial_number)
-            skin._must_be(serial_number)
-        return skin
 
     def _must_be(self, serial_number: str | None) -> None:
         """Close the skin and raise LinkError if neither the board nor its USB device has that serial number.
@@ -264,7 +205,7 @@ class BoardSkin:
     @property
     def port_name(self) -> str:
         """Name of the port; after a reconnection, of the one where the board is now."""
-        return self._connection.port_name
+        return self._source.port_name
 
     @property
     def geometry(self) -> Geometry:
@@ -354,11 +295,11 @@ class BoardSkin:
 
     def __aiter__(self) -> AsyncIterator[Frame]:
         """The frames from now on, for ``async for``; ends and raises as iteration does."""
-        return AsyncFrames(self._connection, self._timeout, keep=self)
+        return AsyncFrames(self._source, self._timeout, keep=self)
 
     def frames(self) -> Iterator[Frame]:
         """An iterator with a place of its own, from now on: frames that other readers take do not go missing here."""
-        return self._follow(Consumer(self._connection))
+        return self._follow(Consumer(self._source))
 
     def _follow(self, consumer: Consumer) -> Iterator[Frame]:
         try:
@@ -433,7 +374,7 @@ class BoardSkin:
             LinkEnded, LinkError: as for :meth:`read`, where there is no such frame.
 
         """
-        frames = frames_since(self._connection, number("monotonic_time", monotonic_time, "s"))
+        frames = frames_since(self._source, number("monotonic_time", monotonic_time, "s"))
         if not frames and self._frames.end is not None:
             raise copy.copy(self._frames.end)
         return frames
@@ -457,7 +398,7 @@ class BoardSkin:
             InputError: ``callback`` or ``on_end`` is no function.
 
         """
-        made = FrameCallback(Consumer(self._connection), self.port_name, callback, on_end, keep=self)
+        made = FrameCallback(Consumer(self._source), self.port_name, callback, on_end, keep=self)
         # Dropping callbacks that have ended releases the objects to which they refer.
         self._callbacks = [earlier for earlier in self._callbacks if not earlier.is_over] + [made]
         return made
@@ -611,20 +552,6 @@ class BoardSkin:
     def undo_tare(self) -> Tare | None:
         """Return to the previous tare. Returns the tare then in use, None for none."""
         return self._tares.undo()
-
-
-def _finder(port: str | None, asked: Options, baudrate: int | None) -> PortFinder:
-    """Finder of the board's port, by name or by serial number; errors as for :meth:`Skin.open`."""
-    family = asked.family
-    if baudrate is not None:
-        positive("baudrate", baudrate, "bit/s")
-    if port is None:
-        if asked.serial_number is None:
-            raise InputError("neither a port nor a serial number; expected one of them")
-        port = find_board(asked.serial_number, board=family, timeout=min(asked.timeout_s, LONGEST_SEARCH_S))
-    refuse_missing(port)  # before the wait for the compiler
-    await_free(port)
-    return PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)
 
 
 _OPEN_HERE: weakref.WeakSet[BoardSkin] = weakref.WeakSet()

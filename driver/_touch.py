@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, NamedTuple, get_type_hints
 
 import numpy as np
 
-from ..common.arrays import FloatArray
-from ..common.compiled import Record, Records, zeros
+from ..common.arrays import BoolArray, FloatArray
+from ..common.compiled import Flags, PlaceRows, Places, Record, Records, Row, Rows, zeros
 from ..common.geometry import Geometry
 
 PLACE = Annotated[FloatArray, 3]
@@ -114,10 +114,8 @@ class Track(Record):
     """from the smoothed position, whose change is the velocity, to the position"""
     force_n: float
     variance_mm2: float
-    first: float
-    """place among the remembered cells of the first of the patch in which the finger was seen last"""
-    cells: float
-    """of this patch"""
+    patch: float
+    """label of the patch in which the finger was seen in the last frame; 0: it was not"""
     seen_s: float
     apart_s: float
     """time when the finger could last be told from its neighbours"""
@@ -137,39 +135,110 @@ class Progress(Record):
     last_id: float
     tracks: float
     """places of tracks in use"""
-    remembered: float
-    """cells remembered for the tracks"""
     touched: float
     """cells of the last frame's patches"""
 
 
-class Skin:
-    """The cells of a skin as kernels take them. Nothing in it changes."""
+class Skin(NamedTuple):
+    """The n cells of a skin. Nothing in it changes."""
 
-    def __init__(self, geometry: Geometry) -> None:
+    untouched: Untouched
+    spots: Records[Spot]
+    rows: Records[Line]
+    columns: Records[Line]
+    near: PlaceRows
+    """(n, most) cells near each one, :attr:`ohmskin.common.geometry.Neighbours.near`; n stands for none"""
+    weights: Rows
+    """(n, most) of the near ones under a fingertip"""
+    opposite: PlaceRows
+    """(m, 3) cells with two neighbours on opposite sides"""
+
+    @classmethod
+    def of(cls, geometry: Geometry, untouched: Untouched) -> Skin:
+        """The cells at their places."""
         count = geometry.areas_mm2.size
         neighbours, exists = geometry.neighbours, geometry.exists.ravel()
-        self.near, self.opposite = neighbours.near, neighbours.opposite
-        """(cells, most) and (n, 3), see :class:`ohmskin.common.geometry.Neighbours`"""
-        self.weights = np.where(self.near < count, AT_CORNER, 0.0)
-        """(cells, most) of the near ones under a fingertip"""
-        is_beside = (self.near[:, :, None] == neighbours.beside[:, None, :]).any(axis=-1)
-        self.weights[is_beside & (self.near < count)] = BESIDE
-        self.spots = zeros(Spot, count)
+        near = neighbours.near
+        weights = np.where(near < count, AT_CORNER, 0.0)
+        is_beside = (near[:, :, None] == neighbours.beside[:, None, :]).any(axis=-1)
+        weights[is_beside & (near < count)] = BESIDE
+        spots = zeros(Spot, count)
         alone_mm = np.sqrt(geometry.areas_mm2.ravel())
         longest = np.where(neighbours.longest_mm > 0, neighbours.longest_mm, alone_mm)
         shortest = np.where(neighbours.shortest_mm > 0, neighbours.shortest_mm, alone_mm)
-        self.spots["exists"], self.spots["area_mm2"] = exists, geometry.areas_mm2.ravel()
-        self.spots["at_mm"][:, : geometry.places_mm.shape[-1]] = geometry.places_mm.reshape(count, -1)
-        self.spots["longest_mm"], self.spots["pitch_mm"] = longest, (shortest + longest) / 2
-        self.spots["line"], self.spots["along"] = geometry.lines, np.indices(geometry.shape)[::-1].reshape(2, -1).T
-        self.rows, self.columns = (self._lines(axis, exists) for axis in (0, 1))
+        spots["exists"], spots["area_mm2"] = exists, geometry.areas_mm2.ravel()
+        spots["at_mm"][:, : geometry.places_mm.shape[-1]] = geometry.places_mm.reshape(count, -1)
+        spots["longest_mm"], spots["pitch_mm"] = longest, (shortest + longest) / 2
+        spots["line"], spots["along"] = geometry.lines, np.indices(geometry.shape)[::-1].reshape(2, -1).T
+        rows, columns = (_lines(spots, axis, exists) for axis in (0, 1))
+        return cls(untouched, spots, rows, columns, near, weights, neighbours.opposite)
 
-    def _lines(self, axis: int, exists: np.ndarray) -> Records[Line]:
-        number, along = (self.spots[name][:, axis].astype(np.intp) for name in ("line", "along"))
-        lines = zeros(Line, int(number.max()) + 1)
-        lines["first"], lines["last"] = along.max() + 1, -1
-        np.minimum.at(lines["first"], number[exists], along[exists])
-        np.maximum.at(lines["last"], number[exists], along[exists])
-        lines["cells"] = np.bincount(number[exists], minlength=lines.size)
-        return lines
+
+def _lines(spots: Records[Spot], axis: int, exists: BoolArray) -> Records[Line]:
+    number, along = (spots[name][:, axis].astype(np.intp) for name in ("line", "along"))
+    lines = zeros(Line, int(number.max()) + 1)
+    lines["first"], lines["last"] = along.max() + 1, -1
+    np.minimum.at(lines["first"], number[exists], along[exists])
+    np.maximum.at(lines["last"], number[exists], along[exists])
+    lines["cells"] = np.bincount(number[exists], minlength=lines.size)
+    return lines
+
+
+class Memory(NamedTuple):
+    """What is remembered of the frames up to now, and found in the last one."""
+
+    cells: Records[Touched]
+    labels: Places
+    """(n,) number of the contact of each cell, from 1; 0: none"""
+    order: Places
+    """(n,) touched cells in the order of their contacts"""
+    patches: Records[Patch]
+    """(n,) the contacts"""
+    tracks: Records[Track]
+    """the fingers on the skin, those lifted a moment ago included"""
+    progress: Records[Progress]
+    """(1,)"""
+
+    @classmethod
+    def of_nothing(cls, count: int) -> Memory:
+        """Before the first frame of ``count`` cells."""
+        cells, progress = zeros(Touched, count), zeros(Progress, 1)
+        cells["pressed_s"], cells["read_s"], progress["time_s"] = np.inf, -np.inf, -np.inf
+        labels, order = np.zeros(count, dtype=np.intp), np.empty(count, dtype=np.intp)
+        return cls(cells, labels, order, zeros(Patch, count), zeros(Track, count + MOST_TOGETHER), progress)
+
+
+class Scan(NamedTuple):
+    """The cells (n,) in the frame that is being taken."""
+
+    pressure: Row
+    """kPa; NaN: not known"""
+    std: Row
+    """kPa, standard deviations; NaN: not known"""
+    unread: Flags
+    """without a reading in this frame"""
+    known_std: Row
+    """kPa, standard deviations, unknown ones as 0"""
+    height: Row
+    """kPa: the pressure, interpolated where a cell is missing within a contact"""
+    missing: Flags
+    """without a recent reading; in the end those that are interpolated"""
+    excess: Row
+    """kPa beyond drift"""
+    wake: Row
+    """kPa that a finger leaves behind it"""
+    begins: Flags
+    """pressed for sure"""
+    connected: Places
+    """number of the cell's connected patch, from 1; 0: none"""
+    before: Places
+    """number of its contact in the last frame"""
+    load: Row
+    """N on touched cells"""
+
+    @classmethod
+    def of_size(cls, count: int) -> Scan:
+        """Room for ``count`` cells."""
+        kinds = {Row: np.float64, Flags: np.bool_, Places: np.intp}
+        hints = get_type_hints(cls, include_extras=True)
+        return cls(**{name: np.zeros(count, dtype=kinds[hints[name]]) for name in cls._fields})

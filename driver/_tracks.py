@@ -17,7 +17,7 @@ import numpy as np
 
 from ..common.compiled import Places, Records, Row, Rows, loop
 from ._assignment import assign
-from ._touch import MOST_TOGETHER, Patch, Progress, Spot, Track
+from ._touch import MOST_TOGETHER, Memory, Patch, Progress, Scan, Skin, Spot, Track
 
 SPEED_MM_PER_S = 500.0
 REACH_PITCHES = 1.5
@@ -45,33 +45,9 @@ NONE = -1
 
 
 @loop
-def follow(
-    progress: Progress,
-    tracks: Records[Track],
-    remembered: Places,
-    patches: Records[Patch],
-    count: int,
-    labels: Places,
-    order: Places,
-    spots: Records[Spot],
-    load: Row,
-    time_s: float,
-) -> None:
-    """Give the patches of the next frame the ids of the fingers in them.
-
-    Args:
-        progress: of the frames before.
-        tracks: (places,) all fingers on the skin, those lifted a moment ago included; with ``count`` free places.
-        remembered: (room,) cells of the tracks; with room for all cells more.
-        patches: (n,) of which the first ``count`` count: measured, but without ids, which are written.
-        count: of patches.
-        labels: (n,) number of the patch in which a cell lies, from 1; 0 for the others.
-        order: (m,) touched cells in the order of the patches.
-        spots: (n,)
-        load: (n,) N on each cell.
-        time_s: of the frame.
-
-    """
+def follow(count: int, skin: Skin, memory: Memory, scan: Scan, time_s: float) -> None:
+    """Give the first ``count`` patches, which are those of the next frame, the ids of the fingers in them."""
+    progress, tracks = memory.progress[0], memory.tracks
     # However slow the frames are, the frame just before counts.
     oldest_s = min(time_s - REMEMBERED_S, progress.time_s)
     known, places = 0, np.empty(tracks.size, np.intp)
@@ -83,11 +59,11 @@ def follow(
             tracks[place].id = 0.0
     places = places[:known]
     shared = np.empty(known, np.intp)
-    share(progress, tracks, places, remembered, patches, count, labels, time_s, shared)
+    share(places, count, memory, scan.before, time_s, shared)
     together = np.empty(MOST_TOGETHER, np.intp)
     for k in range(count):
         fingers = strongest(tracks, places, shared, k, together)
-        patch = patches[k]
+        patch = memory.patches[k]
         if fingers == 0:
             together[0] = free_place(progress, tracks)
             enter(tracks[together[0]], progress, patch, time_s)
@@ -95,9 +71,19 @@ def follow(
         elif fingers == 1:
             move_alone(tracks[together[0]], patch, time_s)
         else:
-            fingers = move_together(tracks, together[:fingers], patch, order, spots, load, time_s)
+            cells = memory.order[int(patch.first) : int(patch.first) + int(patch.cells)]
+            fingers = move_together(tracks, together[:fingers], patch, cells, skin.spots, scan.load, time_s)
         name(tracks, together[:fingers], patch)
-    remember(progress, tracks, remembered, order, time_s)
+        for place in together[:fingers]:
+            tracks[place].patch = k + 1.0
+    last = 0
+    for place in range(int(progress.tracks)):
+        track = tracks[place]
+        if track.id > 0.0:
+            last = place + 1
+            if track.seen_s < time_s:
+                track.patch = track.leads = 0.0
+    progress.tracks = float(last)
 
 
 @loop
@@ -114,44 +100,38 @@ def distance(one: Row, other: Row) -> float:
 
 
 @loop
-def share(
-    progress: Progress,
-    tracks: Records[Track],
-    places: Places,
-    remembered: Places,
-    patches: Records[Patch],
-    count: int,
-    labels: Places,
-    time_s: float,
-    shared: Places,
-) -> None:
+def share(places: Places, count: int, memory: Memory, before: Places, time_s: float, shared: Places) -> None:
     """Write for each of the tracks at ``places`` (m,) the patch in which it continues; :data:`NONE`: in none.
 
     A track that was absent in the frame before was lifted. It can get a patch of its own, but cannot merge with another
     track.
     """
-    known = places.size
+    known, tracks, patches = places.size, memory.tracks, memory.patches
     shared[:] = NONE
     if known == 0 or count == 0:
         return
+    earlier = 0
+    for i in range(before.size):
+        earlier = max(earlier, before[i])
+    overlaps = np.zeros((earlier + 1, count), np.bool_)  # of labels in the last frame with those of this one
+    for i in range(before.size):
+        if before[i] > 0 and memory.labels[i] > 0:
+            overlaps[before[i], memory.labels[i] - 1] = True
     costs, possible = np.empty((known, count)), np.empty((known, count), np.bool_)
-    overlaps, ahead = np.zeros((known, count), np.bool_), np.empty((known, 3))
-    centres, here, impossible = np.empty((count, 3)), np.empty(3), 1.0
+    ahead, centres, here = np.empty((known, 3)), np.empty((count, 3)), np.empty(3)
+    impossible = 1.0
     for k in range(count):
         for axis in range(3):
             centres[k, axis] = patches[k].at_mm[axis]
     for j in range(known):
         track = tracks[places[j]]
-        for cell in remembered[int(track.first) : int(track.first) + int(track.cells)]:
-            if labels[cell] > 0:
-                overlaps[j, labels[cell] - 1] = True
         for axis in range(3):
             ahead[j, axis], here[axis] = predicted(track, time_s, axis), track.at_mm[axis]
         reach = REACH_PITCHES * track.longest_mm + SPEED_MM_PER_S * abs(time_s - track.seen_s)
         for k in range(count):
             far, moved = distance(ahead[j], centres[k]), distance(here, centres[k])
             costs[j, k] = far / track.pitch_mm + FORCE_PITCHES * abs(math.log(patches[k].force_n / track.force_n))
-            possible[j, k] = min(moved, far) <= reach or overlaps[j, k]
+            possible[j, k] = min(moved, far) <= reach or overlaps[int(track.patch), k]
             if possible[j, k]:
                 impossible += costs[j, k]
     # An impossible pair costs more than all possible ones together, so it is chosen only if no possible one is left.
@@ -163,11 +143,11 @@ def share(
     for j in range(known):
         if shared[j] != NONE and not possible[j, shared[j]]:
             shared[j] = NONE
-        if shared[j] == NONE and tracks[places[j]].seen_s == progress.time_s:
+        if shared[j] == NONE:
             nearest = np.inf
             for k in range(count):
                 far = distance(ahead[j], centres[k])
-                if overlaps[j, k] and far < nearest:
+                if overlaps[int(tracks[places[j]].patch), k] and far < nearest:
                     nearest, shared[j] = far, k
 
 
@@ -192,10 +172,14 @@ def strongest(tracks: Records[Track], places: Places, shared: Places, patch: int
 
 @loop
 def free_place(progress: Progress, tracks: Records[Track]) -> int:
-    """The first free place for a track."""
+    """The first free place for a track; if there is none, that of the one that was lifted first."""
     place = 0
     while place < progress.tracks and tracks[place].id > 0.0:
         place += 1
+    if place == tracks.size:
+        place = 0
+        for other in range(tracks.size):
+            place = other if tracks[other].seen_s < tracks[place].seen_s else place
     progress.tracks = max(progress.tracks, place + 1.0)
     return place
 
@@ -212,13 +196,6 @@ def enter(track: Track, progress: Progress, patch: Patch, time_s: float) -> None
     track.pitch_mm, track.longest_mm = patch.pitch_mm, patch.longest_mm
     track.seen_s = track.apart_s = time_s
     track.samples = track.leads = 1.0
-    stand(track, patch)
-
-
-@loop
-def stand(track: Track, patch: Patch) -> None:
-    """Let a track have the cells of a patch."""
-    track.first, track.cells = patch.first, patch.cells
 
 
 @loop
@@ -255,7 +232,6 @@ def move_alone(track: Track, patch: Patch, time_s: float) -> None:
     if patch.alone > 0.0 or patch.variance_mm2 > track.variance_mm2:  # else too narrow, cut off by a neighbour
         track.variance_mm2 = patch.variance_mm2
     track.apart_s = time_s
-    stand(track, patch)
 
 
 @loop
@@ -263,12 +239,12 @@ def move_together(
     tracks: Records[Track],
     together: Places,
     patch: Patch,
-    order: Places,
+    cells: Places,
     spots: Records[Spot],
     load: Row,
     time_s: float,
 ) -> int:
-    """Move the tracks that share a patch; returns the number of those still in it, which come first in ``together``."""
+    """Move the tracks that share a patch of ``cells`` (m,); returns how many still do, which come first."""
     count, total = together.size, 0.0
     at, shares, variances, apart = np.empty((count, 3)), np.empty(count), np.empty(count), np.empty(count)
     least = (LEAST_WIDTH_PITCHES * patch.pitch_mm) * (LEAST_WIDTH_PITCHES * patch.pitch_mm)
@@ -300,7 +276,6 @@ def move_together(
     trust = np.zeros(count)
     if some:
         fitted, masses, widths = np.empty((count, 3)), np.empty(count), np.empty(count)
-        cells = order[int(patch.first) : int(patch.first) + int(patch.cells)]
         fit(placed, shares, variances, cells, spots, load, fitted, masses, widths)
         total = 0.0
         for j in range(count):
@@ -326,7 +301,6 @@ def move_together(
         x, y, z = placed[j, 0] - at[j, 0], placed[j, 1] - at[j, 1], placed[j, 2] - at[j, 2]
         move(track, x, y, z, time_s, trust[j])
         track.force_n = shares[j] * patch.force_n
-        stand(track, patch)
         together[staying] = together[j]
         staying += 1
     return staying
@@ -417,27 +391,3 @@ def name(tracks: Records[Track], together: Places, patch: Patch) -> None:
             at -= 1
         patch.joined[at] = track.id
         patch.others += 1.0
-
-
-@loop
-def remember(progress: Progress, tracks: Records[Track], remembered: Places, order: Places, time_s: float) -> None:
-    """Remember the touched cells in ``order`` (m,), which tracks that are seen have now, and those of the others."""
-    before = np.empty(int(progress.remembered), np.intp)
-    for i in range(before.size):
-        before[i] = remembered[i]
-    for i in range(order.size):
-        remembered[i] = order[i]
-    used, last = order.size, 0
-    for place in range(int(progress.tracks)):
-        track = tracks[place]
-        if track.id == 0.0:
-            continue
-        last = place + 1
-        if track.seen_s == time_s:
-            continue
-        track.leads = 0.0
-        first, track.first = int(track.first), float(used)
-        for i in range(int(track.cells)):
-            remembered[used + i] = before[first + i]
-        used += int(track.cells)
-    progress.tracks, progress.remembered = float(last), float(used)

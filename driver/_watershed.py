@@ -12,7 +12,8 @@ import math
 
 import numpy as np
 
-from ..common.compiled import Flags, PlaceRows, Places, Row, loop
+from ..common.compiled import PlaceRows, Places, Row, loop
+from ._touch import Memory, Scan, Skin
 
 PART_SHARE, STAY_SHARE = 0.3, 0.15
 """depth of a saddle below the lower maximum, relative to it, at which two fingers part, and stay parted: one finger is
@@ -25,44 +26,22 @@ NONE = -1
 
 
 @loop
-def part(
-    connected: Places,
-    count: int,
-    starts: Places,
-    order: Places,
-    near: PlaceRows,
-    height: Row,
-    std: Row,
-    begins: Flags,
-    before: Places,
-    labels: Places,
-) -> int:
-    """Give each finger of a patch its own label; returns the number of labels, which have no gaps.
+def part(count: int, starts: Places, skin: Skin, memory: Memory, scan: Scan) -> int:
+    """Give each finger of ``count`` connected patches a label of its own; returns the number of labels, without gaps.
 
-    Args:
-        connected: (n,) connected patches of touched cells, from 1 to ``count``; 0 for the others.
-        count: number of these patches.
-        starts: (count + 2,) with ``order``: the cells of each patch, as :func:`._patches.sort_by_label` gives them.
-        order: (n,)
-        near: (n, most) cells near each one; n stands for none.
-        height: (n,) kPa.
-        std: (n,) standard deviations.
-        begins: (n,) cells whose pressure is large enough for a contact to begin.
-        before: (n,) labels of the last frame: fingers that were apart then are parted more readily.
-        labels: (n,) written.
-
+    ``starts`` (count + 2,) and the order of cells are those of :func:`._patches.sort_by_label`. Fingers that were apart
+    in the last frame are parted more readily.
     """
+    labels, connected = memory.labels, scan.connected
     root, fingers = np.empty(labels.size, np.intp), count
     for cell in range(labels.size):
         labels[cell], root[cell] = connected[cell], NONE
     for k in range(1, count + 1):
-        cells = order[starts[k] : starts[k + 1]]
-        if summits(cells, connected, near, height) < 2:
+        cells = memory.order[starts[k] : starts[k + 1]]
+        if summits(cells, connected, skin.near, scan.height) < 2:
             continue
-        falling = np.empty(cells.size, np.intp)
-        falling[:] = cells
-        sort_falling(falling, height)
-        flood(falling, near, height, std, begins, before, root)
+        falling = cells[np.argsort(-scan.height[cells], kind="mergesort")]  # the first ones of equal ones first
+        flood(falling, skin.near, scan, root)
         # The basin of the first cell keeps the label; the others follow in the order of their first cells.
         own = root[cells[0]]
         first = fingers
@@ -100,56 +79,12 @@ def summits(cells: Places, labels: Places, near: PlaceRows, height: Row) -> int:
 
 
 @loop
-def sort_falling(cells: Places, height: Row) -> None:
-    """Sort cells, which are in the order of their numbers, by falling height; the first ones of equal ones first.
+def flood(falling: Places, near: PlaceRows, scan: Scan, root: Places) -> None:
+    """Flood a patch whose cells (m,) are given from the highest one on.
 
-    Heap sort (Williams 1964): the cell that is to be last is at the top of the heap.
+    ``root`` (n,) is :data:`NONE`; the summit to whose basin each cell belongs is written.
     """
-    count = cells.size
-    for start in range(count // 2 - 1, -1, -1):
-        sift(cells, start, count, height)
-    for last in range(count - 1, 0, -1):
-        cells[0], cells[last] = cells[last], cells[0]
-        sift(cells, 0, last, height)
-
-
-@loop
-def sift(cells: Places, place: int, count: int, height: Row) -> None:
-    """Let the cell at ``place`` of a heap of ``count`` cells sink to where it belongs."""
-    cell = cells[place]
-    while True:
-        below = 2 * place + 1
-        if below >= count:
-            break
-        if below + 1 < count and follows(cells[below + 1], cells[below], height):
-            below += 1
-        if not follows(cells[below], cell, height):
-            break
-        cells[place] = cells[below]
-        place = below
-    cells[place] = cell
-
-
-@loop
-def follows(cell: int, other: int, height: Row) -> bool:
-    """Whether ``cell`` comes after the other one by falling height."""
-    return bool(height[cell] < height[other] or (height[cell] == height[other] and cell > other))
-
-
-@loop
-def flood(falling: Places, near: PlaceRows, height: Row, std: Row, begins: Flags, before: Places, root: Places) -> None:
-    """Flood a patch of m cells.
-
-    Args:
-        falling: (m,) cells from the highest one on.
-        near: (n, most) as ``height``, ``std``, ``begins`` and ``before`` of :func:`part`.
-        height: see ``near``.
-        std: see ``near``.
-        begins: see ``near``.
-        before: see ``near``.
-        root: (n,) :data:`NONE`; the summit to whose basin each cell belongs is written.
-
-    """
+    height = scan.height
     none, pairs = height.size, 0
     fingers = np.empty((PAIRS * falling.size, 2), np.intp)
     for cell in falling:
@@ -177,7 +112,7 @@ def flood(falling: Places, near: PlaceRows, height: Row, std: Row, begins: Flags
                 known = known or (fingers[k, 0] == high and fingers[k, 1] == low)
             if known:
                 continue
-            if are_fingers(falling, high, low, cell, height, std, begins, before, root):
+            if are_fingers(falling, high, low, cell, scan, root):
                 fingers[pairs, 0], fingers[pairs, 1] = high, low
                 pairs += 1
             else:
@@ -195,22 +130,13 @@ def summit_of(root: Places, cell: int) -> int:
 
 
 @loop
-def are_fingers(
-    cells: Places,
-    high: int,
-    low: int,
-    saddle: int,
-    height: Row,
-    std: Row,
-    begins: Flags,
-    before: Places,
-    root: Places,
-) -> bool:
+def are_fingers(cells: Places, high: int, low: int, saddle: int, scan: Scan, root: Places) -> bool:
     """Whether the basin of ``low`` is a finger of its own.
 
     One cell that is surely higher than the saddle suffices, since the cell at the top may be uncertain for a reason of
     its own.
     """
+    height, std, before = scan.height, scan.known_std, scan.before
     apart = before[low] != before[high] and before[low] > 0 and before[high] > 0
     share, stds = (STAY_SHARE, STAY_STDS) if apart else (PART_SHARE, PART_STDS)
     if height[low] - height[saddle] < share * height[low]:
@@ -221,5 +147,5 @@ def are_fingers(
             break
         if summit_of(root, cell) == low:
             sure = sure or height[cell] - height[saddle] >= stds * math.hypot(std[cell], std[saddle])
-            begun = begun or begins[cell]
+            begun = begun or scan.begins[cell]
     return sure and begun

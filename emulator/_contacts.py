@@ -59,7 +59,7 @@ class Contact(Load):
             if paths:
                 raise ValueError("'cells' stay where they are; a path needs one of the other shapes")
             return self
-        placed = self._shape.middle(1.0) is not None
+        placed = self._shape.center is not None or self._shape.center_mm is not None
         if placed and paths:
             raise ValueError("give the shape a center or the contact a path, not both")
         if not placed and not paths:
@@ -83,23 +83,15 @@ class Contact(Load):
         """Whether its place is one on a skin with places of its own, not one in the array."""
         return self.cells is None and geometry.pitch_m is None and self.path_cells is None and self._shape.is_in_mm
 
-    def _middles_mm(self, time_s: FloatArray) -> FloatArray:
-        """(frames, 2 or 3) where the middle of the shape is; (1, 2 or 3) if it rests."""
-        if self.path_mm is None:
-            return np.array([self._shape.center_mm])
-        points = np.asarray(self.path_mm, dtype=np.float64)
-        time = time_s if self.path_period is None else within_period(time_s, self.path_period)
-        return np.stack([np.interp(time, points[:, 0], along) for along in points[:, 1:].T], axis=1)
-
-    def middles(self, time_s: FloatArray, pitch_mm: float) -> FloatArray:
-        """(frames, 2) where the middle of the shape is at each of ``time_s``, in cells."""
-        path = self.path_cells if self.path_cells is not None else self.path_mm
-        if path is None:
-            return np.array([self._shape.middle(pitch_mm)])
+    def _middles(self, time_s: FloatArray, unit_mm: float) -> FloatArray:
+        """(frames, 2 or 3) where the middle of the shape is, or (1, 2 or 3) if it rests; mm are divided by a unit."""
+        path, shape = self.path_cells or self.path_mm, self._shape
+        unit = unit_mm if (self.path_mm if path else shape.center_mm) is not None else 1.0
+        if not path:
+            return np.array([shape.center or shape.center_mm]) / unit
         points = np.asarray(path, dtype=np.float64)
         time = time_s if self.path_period is None else within_period(time_s, self.path_period)
-        places = np.stack([np.interp(time, points[:, 0], points[:, axis]) for axis in (1, 2)], axis=1)
-        return places if self.path_cells is not None else places / pitch_mm
+        return np.stack([np.interp(time, points[:, 0], along) for along in points[:, 1:].T], axis=1) / unit
 
     def coverage(self, geometry: Geometry) -> FloatArray:
         """(rows, columns) pressure on each cell per unit of load, at the beginning of a path."""
@@ -127,71 +119,73 @@ class Contact(Load):
         if self.cells is not None:
             return float(geometry.areas_mm2[tuple(np.transpose(self.cells))].sum())
         pitch_mm = _pitch_mm(geometry)
-        return self._shape.area_cells(pitch_mm) * pitch_mm**2
+        return self._shape.area(pitch_mm) * pitch_mm**2
 
     def _cover(self, time_s: FloatArray, geometry: Geometry) -> tuple[IntArray, FloatArray]:
         """Cells (k,) and their shares (frames, k), or (1, k) if these do not change."""
-        shape, pitch_mm = geometry.shape, _pitch_mm(geometry)
+        count, pitch_mm = geometry.shape[1], _pitch_mm(geometry)
         if self._is_placed_in_mm(geometry):
-            there = np.flatnonzero(geometry.exists)
-            places = geometry.places_mm.reshape(-1, len(geometry.axes))[there]
-            places[:, :2] = places[:, 1::-1]  # y before x, as in a scene
-            share = self._shape.cover_places(self._middles_mm(time_s), places, geometry.areas_mm2.ravel()[there])
-            return there, share
+            middles = self._middles(time_s, 1.0)
+            cells, places, sides = self._near(middles, geometry)
+            away = places - middles[:, None]
+            if len(geometry.axes) == 3:  # as far away as in space, along one axis
+                away = np.linalg.norm(away, axis=-1, keepdims=True) * [1.0, 0.0]
+            return cells, self._shape.share(away[..., 0], away[..., 1], sides, 1.0)
         if self.cells is not None:
             rows, columns = np.transpose(self.cells)
-            cells = np.unique(rows * shape[1] + columns)
+            cells = np.unique(rows * count + columns)
             return cells, np.ones((1, len(cells)))
-        middles = self.middles(time_s, pitch_mm)
-        (first_row, last_row), (first_column, last_column) = self._shape.window(middles, shape, pitch_mm)
-        rows, columns = np.arange(first_row, last_row), np.arange(first_column, last_column)
-        cells = (rows[:, None] * shape[1] + columns).ravel()
-        if not len(cells):
-            return cells, np.zeros((1, 0))
-        share = self._shape.cover(middles, rows.astype(float), columns.astype(float), pitch_mm)
-        return cells, share.reshape(len(middles), -1)
+        middles = self._middles(time_s, pitch_mm)
+        rows, columns = self._window(middles, geometry)
+        cells = (rows[:, None] * count + columns).ravel()
+        down, along = rows[:, None] - middles[:, 0, None, None], columns - middles[:, 1, None, None]
+        return cells, self._shape.share(down, along, 1.0, pitch_mm).reshape(len(middles), -1)
+
+    def _window(self, middles: FloatArray, geometry: Geometry) -> tuple[IntArray, IntArray]:
+        """Rows (r,) and columns (c,) of the array that the shape reaches at any time."""
+        reach = self._shape.reach(_pitch_mm(geometry)) + self._shape.MARGIN
+        first, last = np.ceil(middles.min(axis=0) - reach), np.floor(middles.max(axis=0) + reach) + 1.0
+        ends = np.clip([first, last], 0.0, geometry.shape).astype(np.intp)
+        return np.arange(*ends[:, 0]), np.arange(*ends[:, 1])
+
+    def _near(self, middles_mm: FloatArray, geometry: Geometry) -> tuple[IntArray, FloatArray, FloatArray]:
+        """On a skin with places of its own, the cells (k,) that the shape comes near, their places and their sides."""
+        there, axes = np.flatnonzero(geometry.exists), len(geometry.axes)
+        places = geometry.places_mm.reshape(-1, axes)[there][:, [1, 0, 2][:axes]]  # y before x, as in a scene
+        sides = np.sqrt(geometry.areas_mm2.flat[there])
+        reach = self._shape.reach(1.0)[[0, 1, 0][:axes]] + self._shape.MARGIN * sides[:, None]
+        near = ((places >= middles_mm.min(axis=0) - reach) & (places <= middles_mm.max(axis=0) + reach)).all(axis=1)
+        return there[near], places[near], sides[near]
 
     def check(self, geometry: Geometry) -> None:
         """Raises InputError for cells beside the array, or a shape that nowhere on its path reaches the skin."""
-        shape, pitch_mm = geometry.shape, _pitch_mm(geometry)
+        shape = geometry.shape
         for row, column in self.cells or ():
             if row >= shape[0] or column >= shape[1]:
                 raise InputError(f"cells: [{row}, {column}] lies outside the {shape[0]} x {shape[1]} array")
         if self.cells is not None:
             return
+        in_mm = self._is_placed_in_mm(geometry)
+        if geometry.pitch_m is None and not in_mm and (self.path_cells is None or self._shape.center_mm is not None):
+            lengths = "path_mm" if self.path_cells is None else "path_cells"
+            raise InputError(f"{lengths}: places on a skin with a [shape] and sizes are both in mm, or both in cells")
+        axes = ("y", "x", "z")[: len(geometry.axes)] if in_mm else ("down", "along")
         path = self.path_cells or self.path_mm
         times = np.array([time for time, *_ in path] if path else [0.0])
+        middles = self._middles(times, 1.0 if in_mm else _pitch_mm(geometry))
+        if middles.shape[1] != len(axes):
+            raise InputError(f"a place of {middles.shape[1]} numbers; expected [{', '.join(axes)}]")
+        if len(axes) == 3 and not self._shape.ROUND:
+            raise InputError("a rectangle or an image on a skin in space; expected a point, a disc, a bump, or cells")
         never = ", nor does its path" if path else ""
-        if geometry.pitch_m is None:
-            self._check_places(times, geometry, never)
-            return
-        if any(len(place) > 2 for place in [self._shape.center_mm or (), *(point[1:] for point in self.path_mm or ())]):
-            raise InputError("a place of three numbers on a flat skin; expected [down, along]")
-        middles = self.middles(times, pitch_mm)
-        if any(first >= last for first, last in self._shape.window(middles, shape, pitch_mm)):
+        if in_mm and not len(self._near(middles, geometry)[0]):
+            raise InputError(f"its shape around {middles[0].tolist()} mm does not reach a cell{never}")
+        if not in_mm and not all(len(lines) for lines in self._window(middles, geometry)):
             row, column = middles[0]
             raise InputError(
                 f"its shape around row {row:.4g}, column {column:.4g} does not reach the {shape[0]} x {shape[1]} array"
                 f"{never}; rows and columns count from 0, and mm from the middle of cell [0, 0]"
             )
-
-    def _check_places(self, times: FloatArray, geometry: Geometry, never: str) -> None:
-        """The same on a skin with places of its own."""
-        in_mm = self._is_placed_in_mm(geometry)
-        lengths = "path_mm" if self.path_cells is None else "path_cells"
-        if not in_mm and (self.path_mm is not None or self._shape.center_mm is not None or self.path_cells is None):
-            raise InputError(f"{lengths}: places on a skin with a [shape] and sizes are both in mm, or both in cells")
-        if not in_mm:
-            return
-        middles, axes = self._middles_mm(times), len(geometry.axes)
-        if middles.shape[1] != axes:
-            raise InputError(
-                f"a place of {middles.shape[1]} numbers; expected {'[y, x, z]' if axes == 3 else '[y, x]'} in mm"
-            )
-        if axes == 3 and not self._shape.ROUND:
-            raise InputError("a rectangle or an image on a skin in space; expected a point, a disc, a bump, or cells")
-        if not (self._cover(times, geometry)[1] > 0).any():
-            raise InputError(f"its shape around {middles[0].tolist()} mm does not reach a cell{never}")
 
 
 def _pitch_mm(geometry: Geometry) -> float:

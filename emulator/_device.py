@@ -9,17 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from ._board import Board
-from ._faults import Line, Schedule, may_lose
+from ._faults import Line, may_lose
 from ._line import Transmission
 from ._scene import Scene
+from ._tuning import BAUD_TOLERANCE, PIECE
 from .firmware import FirmwareInService
 
-ANSWER_ROOM = 4096
-"""bytes of room in the transmit buffer with which commands are answered; with less their answers wait"""
-HANDSHAKE_BYTES = 4096
-"""of a USB converter: what is on its way when it stops the board still fits"""
-BAUD_TOLERANCE = 0.04
-"""relative error of the baud rate that a UART of 10 bits a byte stands: half a bit in ten, less its sampling error"""
 LONGEST_SPLIT = 7
 """bytes that a line with the fault split-bytes delivers at a time, at most"""
 
@@ -38,7 +33,7 @@ class Device:
         *,
         seed: int = 0,
         capacity: int | None = None,
-        handshake_bytes: float = HANDSHAKE_BYTES,
+        handshake_bytes: float = PIECE,
     ) -> None:
         """Switch the device on.
 
@@ -59,7 +54,6 @@ class Device:
         self.dropped = 0
         """frames that found no room in the transmit buffer"""
         self._line = Line(scene.line, seed, scene.link_fault)
-        self._schedule = Schedule(scene.link_fault)
         self._clock = scene.clock
         self._baud_rate = scene.line.baud_rate
         self._random = np.random.default_rng([seed, 2])
@@ -89,7 +83,7 @@ class Device:
     def tick(self, *, host_present: bool) -> None:
         """Live through the next tick and send what the board has to say; without a host nobody hears it."""
         now_us, time_s = self.next_us, self.time_s
-        reset = self._schedule.begun("reset", time_s)
+        reset = self._line.begun("reset", time_s)
         if reset is not None:
             self.reset(reset.text, now_us, boots_for_s=reset.duration_s or 0.0)
         scanning = self.board.wants_tick
@@ -116,18 +110,18 @@ class Device:
     def receive(self, data: bytes, now_us: float) -> None:
         """Take bytes of the host and send the answers for which there is room."""
         self.board.receive(data)
-        if self.transmission.ready(now_us, ANSWER_ROOM):
+        if self.transmission.ready(now_us, PIECE):
             self._send(self.board.answers(), now_us)
 
     def advance(self, now_us: float) -> None:
         """Let the bytes on the line travel until ``now_us``."""
-        stalled = not self._over and self._schedule.active("stall", self.time_s) is not None
+        stalled = not self._over and self._line.active("stall", self.time_s) is not None
         self.transmission.advance(now_us, stalled=stalled)
 
     def arrived(self) -> bytes:
         """Bytes for the host to read now; tell :meth:`Transmission.taken` how many of them were taken."""
         waiting = bytes(self.transmission.host)
-        if waiting and self._schedule.active("split-bytes", self.time_s) is not None:
+        if waiting and self._line.active("split-bytes", self.time_s) is not None:
             return waiting[: int(self._random.integers(1, LONGEST_SPLIT + 1))]
         return waiting
 
@@ -144,18 +138,18 @@ class Device:
     def steal(self) -> None:
         """A second program on the same port reads now and then: what it gets, the first one never sees."""
         waiting = len(self.transmission.host)
-        if not waiting or self._schedule.active("second-host", self.time_s) is None:
+        if not waiting or self._line.active("second-host", self.time_s) is None:
             return
         if self._random.random() < 0.5:
             self.transmission.taken(int(self._random.integers(1, waiting + 1)))
 
     def unplugged(self) -> bool:
         """Whether the cable is out now."""
-        return self._schedule.active("unplug", self.time_s) is not None
+        return self._line.active("unplug", self.time_s) is not None
 
     def new_name(self) -> str | None:
         """The name under which the device appears when it is plugged in again; None: the old one."""
-        fault = self._schedule.active("unplug", self.time_s)
+        fault = self._line.active("unplug", self.time_s)
         return None if fault is None else fault.name
 
     def _send(self, packets: list[bytes], now_us: float) -> bool:

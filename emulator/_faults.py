@@ -19,7 +19,7 @@ def may_lose(settings: LineSettings, faults: Sequence[LinkFault]) -> bool:
 
 
 class Line:
-    """What becomes of packets on their way, by the settings of a scene. The same seed gives the same faults."""
+    """What happens to a line, and to packets on their way, by the settings of a scene. A seed gives the same faults."""
 
     def __init__(self, settings: LineSettings, seed: int, faults: Sequence[LinkFault] = ()) -> None:
         """Prepare the line.
@@ -31,8 +31,16 @@ class Line:
 
         """
         self._settings = settings
-        self._faults = [Recurring(fault) for fault in faults if fault.kind in BYTE_FAULTS + PACKET_FAULTS]
+        self._faults = [Recurring(fault) for fault in faults]
         self._random = np.random.default_rng([seed, 1])
+
+    def active(self, kind: str, time_s: float) -> LinkFault | None:
+        """A fault of this kind that is going on, or None."""
+        return next((one.fault for one in self._faults if one.fault.kind == kind and one.fault.active(time_s)), None)
+
+    def begun(self, kind: str, time_s: float) -> LinkFault | None:
+        """A fault of this kind that has begun since the last call, or None."""
+        return next((one.fault for one in self._faults if one.fault.kind == kind and one.has_begun(time_s)), None)
 
     def carry(self, packet: bytes, time_s: float = 0.0) -> bytes:
         """The packet as the line delivers it: lost (empty), damaged, or as it is.
@@ -48,9 +56,9 @@ class Line:
             bits = np.unpackbits(np.frombuffer(packet, dtype=np.uint8))
             bits ^= self._random.random(len(bits)) < self._settings.bit_errors
             packet = np.packbits(bits).tobytes()
-        for fault in self._faults:
-            if packet:
-                packet = self._inject(fault, packet, time_s)
+        for one in self._faults:
+            if packet and one.fault.kind in BYTE_FAULTS + PACKET_FAULTS:
+                packet = self._inject(one, packet, time_s)
         return packet
 
     def _inject(self, recurring: Recurring, packet: bytes, time_s: float) -> bytes:
@@ -101,18 +109,3 @@ class Recurring:
         occurrence, done = self.fault.occurrence(time_s), self._done
         self._done = max(occurrence, done)
         return occurrence > done
-
-
-class Schedule:
-    """When faults of the kinds that last or happen at once are due."""
-
-    def __init__(self, faults: Sequence[LinkFault]) -> None:
-        self._faults = [Recurring(fault) for fault in faults]
-
-    def active(self, kind: str, time_s: float) -> LinkFault | None:
-        """A fault of this kind that is going on, or None."""
-        return next((one.fault for one in self._faults if one.fault.kind == kind and one.fault.active(time_s)), None)
-
-    def begun(self, kind: str, time_s: float) -> LinkFault | None:
-        """A fault of this kind that has begun since the last call, or None."""
-        return next((one.fault for one in self._faults if one.fault.kind == kind and one.has_begun(time_s)), None)

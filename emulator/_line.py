@@ -14,9 +14,7 @@ from collections import deque
 from math import inf
 
 from ._line_settings import LineSettings
-
-_POLL_US = 1000.0
-"""how often to move bytes on while a UART sends"""
+from ._tuning import SOON_S
 
 
 class Transmission:
@@ -85,7 +83,7 @@ class Transmission:
         """When something will arrive by itself, at the earliest."""
         due = inf
         if self._sending:
-            due = min(self._free_us, now_us + _POLL_US)
+            due = min(self._free_us, now_us + 1e6 * SOON_S)
         if self._bridge:
             due = min(due, max(self._bridge_since_us + 1e6 * self._settings.latency_s, now_us))
         return due

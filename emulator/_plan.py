@@ -95,6 +95,7 @@ def plan(scene: Scene, *, seed: int = 0, budget_s: float = 1.0) -> Plan:
     adc = scene.skin.design.adc
     assert adc is not None  # a scene is refused without one
     board = Board(scene, seed=seed)
+    board.prepare()
     methods: Counter[str] = Counter()
     block = busiest = None
     frames, error_volts = 0, 0.0

@@ -19,11 +19,8 @@ from serial.rfc2217 import PortManager, Serial
 from ..common.rendezvous import END_OF_TRANSMISSION, Announcement
 from ..common.system import has_hung_up, pty, require_posix, tty, unacknowledged_bytes, waiting_bytes
 from ..errors import InputError, LinkError
+from ._tuning import DEAF_S, PIECE
 
-READ_AT_ONCE = 4096
-"""bytes read of a host before the board goes on living: a flood of commands cannot hold it up"""
-DEAF_S = 5.0
-"""how long a TCP host may leave waiting bytes unread before another one that knocks takes its place"""
 _RESET, _IN_GOOD_ORDER = struct.pack("ii", 1, 0), struct.pack("ii", 0, 0)
 """whether to linger, and for how many s: how closing a TCP connection ends it (struct linger)"""
 LONGEST_SUBOPTION = 1024
@@ -217,7 +214,7 @@ class PtyPort(Port):
 
     def read(self) -> bytes | None:
         try:
-            return os.read(self._master, READ_AT_ONCE)
+            return os.read(self._master, PIECE)
         except BlockingIOError:
             return b""
         except OSError as error:
@@ -282,7 +279,7 @@ class _SocketPort(Port):
         if self._host is None:
             return None
         try:
-            data = self._host.recv(READ_AT_ONCE)
+            data = self._host.recv(PIECE)
         except BlockingIOError:
             return b""
         except OSError:
@@ -495,7 +492,7 @@ class Rfc2217Port(TcpPort):
             return 0
         if self._outgoing and not self._flush():
             return 0
-        taken = data[:READ_AT_ONCE]
+        taken = data[:PIECE]
         self._outgoing += taken.replace(b"\xff", b"\xff\xff")
         self._flush()
         return len(taken)

@@ -23,35 +23,16 @@ from typing import Any, Literal, TypedDict, Unpack
 from ..common.checks import positive
 from ..wire import BoardProtocol, Family, board_protocol
 from ._board import Board
-from ._device import HANDSHAKE_BYTES, Device, LivingBoard
+from ._device import Device, LivingBoard
 from ._hand import Hand
 from ._ports import Port
 from ._scene import Scene
 from ._service import ClockName, HasFileno, Outcome, Stop, in_thread, wait_for
 from ._truth import TruthFile
+from ._tuning import DRAIN_S, HOST_POLL_S, LISTENER_S, LONGEST_WAIT_S, MOST_BEHIND_S, PIECE, SOON_S, TICKS_AT_ONCE
 from .firmware import AVR8JS, FirmwareInService, check_scene
 
 EngineName = Literal["model", "firmware"]
-
-HOST_POLL_S = 0.01
-"""how often to look whether a host has come: opening a pty wakes nobody"""
-LISTENER_S = 1.0
-"""fast clock: how long a host may say nothing before it is taken for a mere listener"""
-COMPUTING_POLL_S = 0.002
-"""real clock: how often to look whether a late frame has been computed; the host is served meanwhile"""
-OVER_S = 1.0
-"""for how long a host behind a line that loses packets is informed that no frame follows, a hundred times at most"""
-MOST_BEHIND_S = 0.5
-"""real clock: how late a board may be before its time is let go"""
-DRAIN_S = 60.0
-"""at the end: how long to wait for a host that has stopped reading; a driver that loses nothing reads again when half
-of its 256 frames are converted, for which plain Python on a busy machine takes half a minute"""
-LONGEST_WAIT_S = 0.1
-"""how often to look in any case: for a second host to turn away"""
-TICKS_AT_ONCE = 64
-"""ticks between two looks at the port, at most"""
-WRITE_SOON = 4096
-"""bytes that have arrived at the host's end with which the port goes before further ticks"""
 
 
 class Options(TypedDict, total=False):
@@ -110,7 +91,7 @@ def emulate(
         if options.get("engine", "model") == "firmware":
             board = stack.enter_context(FirmwareInService(scene, **life))
             usb = scene.replace(line={"baud_rate": None})  # behind the converter; the board's UART is in the processor
-            handshake_bytes = inf if clock == "fast" else HANDSHAKE_BYTES
+            handshake_bytes = inf if clock == "fast" else PIECE
             device = Device(usb, board, seed=seed, capacity=2**62, handshake_bytes=handshake_bytes)
         else:
             protocol = _protocol(options.get("family", "ohmskin"), scene)
@@ -201,7 +182,7 @@ class _Session:
             if self._device.board.next_us >= end_us or not self._pace.due(host_present=self._present):
                 return tick > 0
             self._device.tick(host_present=self._present)
-            if len(self._device.transmission.host) >= WRITE_SOON:
+            if len(self._device.transmission.host) >= PIECE:
                 break
         return True
 
@@ -223,7 +204,7 @@ class _Session:
         if stop.is_set():
             return
         said = self._device.say_over(self._pace.now_us())
-        say_again_until = time.monotonic() + (OVER_S if self._device.may_lose else 0.0)
+        say_again_until = time.monotonic() + (LISTENER_S if self._device.may_lose else 0.0)
 
         def to_say() -> bool:
             return not said or time.monotonic() < say_again_until
@@ -298,7 +279,7 @@ class _RealPace:
     def wait_s(self) -> float:
         """How long nothing can become due by itself."""
         if not self._device.board.is_ready:
-            return COMPUTING_POLL_S
+            return SOON_S
         now_us = self.now_us()
         return (min(self._device.next_us, self._device.transmission.next_us(now_us)) - now_us) / 1e6
 
@@ -339,7 +320,7 @@ class _FastPace(_RealPace):
             return False
         if board.orders == self._orders and time.monotonic() >= self._silent_until:
             board.streaming = board.streams_unasked
-        return board.wants_tick and len(self._device.transmission.host) < WRITE_SOON
+        return board.wants_tick and len(self._device.transmission.host) < PIECE
 
     def wait_s(self) -> float:
         return HOST_POLL_S

@@ -29,16 +29,8 @@ from ..common.archives import Stored, check_arrays, read_arrays
 from ..common.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from ..common.config import MOST_SI
 from ..errors import InputError
+from ._tuning import CONTACT_SHARE, LARGEST_PACE, LONGEST_DELAY_S, PAIR_CELLS, REST_SHARE
 
-_LARGEST_PACE = 2.0
-"""ratio of the times that host and board take for the same frames, up to which the board ran in real time"""
-CONTACT_SHARE = 0.1
-"""a contact is a patch of cells above this share of full scale"""
-REST_SHARE = 0.01
-"""a cell that bears at most this share of full scale is at rest"""
-PAIR_CELLS = 3.0
-"""contacts that are farther apart are not the same: one is missed, the other false"""
-_LONGEST_DELAY_S = 2.0
 MOST_BYTES = 4 << 30
 """size limit of a file in memory: 1 h of 16 x 16 cells at 100 Hz takes 2.2 GB per quantity"""
 _CELLS = ("frames", "rows", "columns")
@@ -192,7 +184,7 @@ def score(
     unit = pitch if np.isfinite(pitch) else 1.0
     arrived, scanned = recording.time[found], truth.time_s[in_truth]
     late = 1000.0 * (arrived - scanned - (arrived - scanned).min())
-    if len(found) > 1 and not 1.0 / _LARGEST_PACE < np.polyfit(scanned, arrived, 1)[0] < _LARGEST_PACE:
+    if len(found) > 1 and not 1.0 / LARGEST_PACE < np.polyfit(scanned, arrived, 1)[0] < LARGEST_PACE:
         late[:] = np.nan
     return Score(
         frames=len(in_truth),
@@ -276,7 +268,7 @@ def _delay_s(estimate: FloatArray, truth: Truth, in_truth: IntArray) -> float:
         return np.nan
     reference = truth.pressure_kpa.reshape(len(truth.time_s), -1)[:, moving]
     seen = estimate.reshape(len(in_truth), -1)[:, moving]
-    most = int(min(_LONGEST_DELAY_S / period, len(truth.time_s) // 2, 1000))
+    most = int(min(LONGEST_DELAY_S / period, len(truth.time_s) // 2, 1000))
     misfit = np.full(most + 1, np.inf)
     for frames in range(most + 1):
         known = in_truth >= most  # the same frames for every delay

@@ -7,11 +7,7 @@ import numpy as np
 from ..circuits import Design, adc_codes, apparent_resistance, clipped, ideal_volts, scan, volts_of_codes
 from ..common.arrays import BoolArray, FloatArray
 from ..wire import LineState
-
-SHORT_OHM = 1000.0
-"""two lines joined by less than this are reported as shorted; far below any cell at rest"""
-SILENT_STEPS = 1.5
-"""steps of the ADC around the reading of an open cell within which no current is said to flow"""
+from ._tuning import SHORT_OHM, SILENT_STEPS
 
 TestedLines = tuple[LineState, ...]
 

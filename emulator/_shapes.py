@@ -1,20 +1,22 @@
-"""Shapes of contacts: the share of a contact's load that each cell gets, for a shape at rest or on its way.
+"""Shapes of contacts: the share of a contact's load that each cell gets.
 
-Places and sizes are in cells, or in mm from the middle of cell [0, 0]. Every shape answers one question: where its
-middle is at each of a number of frames, which share of the load does each cell of a small window get? The coverage of
-points, rectangles and bumps is a product of a factor for the row and one for the column.
+Every shape answers one question: of a cell at some distance from the shape's middle, how much of the load lies on it,
+over its area? Places and sizes are in cells, or in mm. Cells are squares along the axes; distances broadcast, so that
+the rows and columns of an array are one axis each, and cells anywhere share one.
 """
 
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from functools import cached_property
-from math import ceil, floor, pi, sqrt
+from math import pi, sqrt
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, model_validator
+from scipy.ndimage import map_coordinates
 from scipy.special import erf
 
 from ..common.archives import Stored, read_array
@@ -24,6 +26,7 @@ from ..common.extras import install_command
 from ..common.files import MOST_BYTES, read_bytes
 from ..common.tables import read_matrix
 from ..errors import InputError, MissingExtra
+from ._tuning import BELL_REACH
 
 Length = Annotated[float, Field(ge=1e-3, le=1e6)]
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -33,10 +36,13 @@ PlaceInSpace = Annotated[tuple[Coordinate, Coordinate, Coordinate], Field(strict
 """[y, x, z] in mm, on a skin in space"""
 Size = Annotated[tuple[Length, Length], Field(strict=False)]
 """[height, width]"""
+Side = float | FloatArray
+"""of a cell, or of each"""
 
-_BELL_REACH = 5.0  # sigma, on each axis; the bell is below 4e-6 of its peak there and is cut off
 _MOST_PIXELS = 1024  # along each side of an image
 _PIXELS = Stored("numbers", ("rows", "columns"))
+_ROUNDING = 1e-12
+"""of a share of a cell that is a difference of areas"""
 
 
 class Shape(Section):
@@ -49,6 +55,10 @@ class Shape(Section):
 
     SIZE: ClassVar[str] = ""
     """name of the length that is given in cells or in mm, without the unit; empty: the shape has none"""
+    ROUND: ClassVar[bool] = False
+    """the same from all sides, so that it can press on a skin in space"""
+    MARGIN: ClassVar[float] = 0.5
+    """sides of a cell from its middle to the end of the shape's reach, up to which the shape may cover it"""
 
     @model_validator(mode="after")
     def _one_unit(self) -> Self:
@@ -60,184 +70,114 @@ class Shape(Section):
                 raise ValueError(f"expected one of {self.SIZE}_cells and {self.SIZE}_mm; got {len(given)} of them")
         return self
 
-    def middle(self, pitch_mm: float) -> tuple[float, float] | None:
-        """[row, column] of the middle, in cells; None where the scene file gives none."""
-        if self.center_mm is not None:
-            return self.center_mm[0] / pitch_mm, self.center_mm[1] / pitch_mm
-        return self.center
-
     @property
     def is_in_mm(self) -> bool:
         """Whether all its lengths are given in mm."""
         return self.center is None and (not self.SIZE or getattr(self, f"{self.SIZE}_cells") is None)
 
-    ROUND: ClassVar[bool] = False
-    """the same from all sides, so that it can press on a skin in space"""
-
-    def cover_places(self, middles_mm: FloatArray, places_mm: FloatArray, areas_mm2: FloatArray) -> FloatArray:
-        """Share of the load on cells anywhere, each taken for a square of its area along the axes.
-
-        Args:
-            middles_mm: (frames, 2 or 3) where the shape's middle is, [y, x] or [y, x, z].
-            places_mm: (cells, 2 or 3) likewise.
-            areas_mm2: (cells,)
-
-        Returns:
-            (frames, cells)
-
-        """
-        if places_mm.shape[1] == 3:  # as far away as in space, along one axis
-            away = np.linalg.norm(places_mm - middles_mm[:, None], axis=-1)
-            still = np.zeros((len(away), 1))
-            found = [
-                self.cover(np.concatenate([-far[:, None] / side, still], axis=1), np.zeros(1), np.zeros(1), side)
-                for far, side in zip(away.T, np.sqrt(areas_mm2).tolist(), strict=True)
-            ]
-        else:
-            found = [
-                self.cover(middles_mm / side, place[:1] / side, place[1:] / side, side)
-                for place, side in zip(places_mm, np.sqrt(areas_mm2).tolist(), strict=True)
-            ]
-        return np.stack([share[:, 0, 0] for share in found], axis=1)
-
-    def size(self, pitch_mm: float) -> Any:
-        """The shape's length or lengths, in cells."""
+    def size(self, unit_mm: float) -> FloatArray:
+        """The shape's length or lengths (), (2,) over a unit: cells as they are given, mm over so many of them."""
         in_cells = getattr(self, f"{self.SIZE}_cells")
-        return in_cells if in_cells is not None else np.divide(getattr(self, f"{self.SIZE}_mm"), pitch_mm)
+        return np.asarray(in_cells if in_cells is not None else np.divide(getattr(self, f"{self.SIZE}_mm"), unit_mm))
 
-    def reach(self, pitch_mm: float) -> tuple[float, float]:
-        """Half the height and half the width of what the shape can cover, in cells."""
+    def reach(self, unit_mm: float) -> FloatArray:
+        """(2,) half the height and half the width of what the shape covers."""
+        return np.broadcast_to(self.size(unit_mm), (2,))
+
+    def area(self, unit_mm: float) -> float:
+        """Area; for shapes with uneven pressure, the force over the load, as an area."""
         raise NotImplementedError
 
-    def area_cells(self, pitch_mm: float) -> float:
-        """Area in cells; for shapes with uneven pressure, the force over the load, as an area."""
-        raise NotImplementedError
-
-    def cover(self, middles: FloatArray, rows: FloatArray, columns: FloatArray, pitch_mm: float) -> FloatArray:
-        """Share of the load on each cell of a window.
+    def share(self, down: FloatArray, along: FloatArray, side: Side, unit_mm: float) -> FloatArray:
+        """Mean pressure on cells, over the load.
 
         Args:
-            middles: (frames, 2) where the shape's middle is, [row, column].
-            rows: (r,) indices of the window's rows.
-            columns: (c,) likewise; neither is empty.
-            pitch_mm: from cell to cell.
-
-        Returns:
-            (frames, r, c)
+            down: from the shape's middle to those of the cells, in units along the first axis.
+            along: likewise along the second; broadcasts with ``down`` to the shape of the result.
+            side: of the cells.
+            unit_mm: the unit.
 
         """
         raise NotImplementedError
 
-    def window(
-        self, middles: FloatArray, shape: tuple[int, int], pitch_mm: float
-    ) -> tuple[tuple[int, int], tuple[int, int]]:
-        """First row and the row behind the last one, and the same of columns, that the shape reaches at any time."""
-        reach = self.reach(pitch_mm)
-        limits = []
-        for axis in (0, 1):
-            low = max(ceil(middles[:, axis].min() - reach[axis] - 0.5), 0)
-            high = min(floor(middles[:, axis].max() + reach[axis] + 0.5) + 1, shape[axis])
-            limits.append((low, max(low, high)))
-        return limits[0], limits[1]
 
-
-class _Product(Shape):
-    """A shape whose coverage is a product of a factor for the row and one for the column."""
-
-    def cover(self, middles: FloatArray, rows: FloatArray, columns: FloatArray, pitch_mm: float) -> FloatArray:
-        down = self._factor(rows - middles[:, :1], 0, pitch_mm)
-        along = self._factor(columns - middles[:, 1:], 1, pitch_mm)
-        product: FloatArray = down[:, :, None] * along[:, None, :]
-        return product
-
-    def _factor(self, away: FloatArray, axis: int, pitch_mm: float) -> FloatArray:
-        """Factor of cells whose middles are ``away`` cells from the shape's middle along an axis."""
-        raise NotImplementedError
-
-
-class Point(_Product):
+class Point(Shape):
     """A load on one point, as a load on one cell that the nearest four cells share while the point moves over them."""
 
     ROUND: ClassVar[bool] = True
+    MARGIN: ClassVar[float] = 1.0
 
-    def reach(self, pitch_mm: float) -> tuple[float, float]:
-        return 0.5, 0.5
+    def reach(self, unit_mm: float) -> FloatArray:
+        return np.zeros(2)
 
-    def area_cells(self, pitch_mm: float) -> float:
+    def area(self, unit_mm: float) -> float:
         return 1.0
 
-    def _factor(self, away: FloatArray, axis: int, pitch_mm: float) -> FloatArray:
-        return np.maximum(1.0 - np.abs(away), 0.0)
+    def share(self, down: FloatArray, along: FloatArray, side: Side, unit_mm: float) -> FloatArray:
+        return _overlap(down, side, side) * _overlap(along, side, side)
 
 
-class Rectangle(_Product):
+class Rectangle(Shape):
     """Even pressure within a rectangle along the lines of the array; a cell covered in part gets that part."""
 
     SIZE: ClassVar[str] = "size"
     size_cells: Size | None = None
     size_mm: Size | None = None
 
-    def reach(self, pitch_mm: float) -> tuple[float, float]:
-        height, width = self.size(pitch_mm)
-        return float(height) / 2.0, float(width) / 2.0
+    def reach(self, unit_mm: float) -> FloatArray:
+        return self.size(unit_mm) / 2.0
 
-    def area_cells(self, pitch_mm: float) -> float:
-        height, width = self.size(pitch_mm)
-        return float(height * width)
+    def area(self, unit_mm: float) -> float:
+        return float(self.size(unit_mm).prod())
 
-    def _factor(self, away: FloatArray, axis: int, pitch_mm: float) -> FloatArray:
-        half = self.reach(pitch_mm)[axis]
-        shared: FloatArray = np.minimum(half, away + 0.5) - np.maximum(-half, away - 0.5)
-        return shared.clip(min=0.0)
+    def share(self, down: FloatArray, along: FloatArray, side: Side, unit_mm: float) -> FloatArray:
+        height, width = self.size(unit_mm)
+        return _overlap(down, side, height) * _overlap(along, side, width)
 
 
-class Bump(_Product):
+class Bump(Shape):
     """Pressure like a fingertip's: a Gaussian bell, whose peak is the load; each cell gets the mean over the cell."""
 
     ROUND: ClassVar[bool] = True
-
     SIZE: ClassVar[str] = "sigma"
     sigma_cells: Length | None = None
     sigma_mm: Length | None = None
 
-    def reach(self, pitch_mm: float) -> tuple[float, float]:
-        return (_BELL_REACH * float(self.size(pitch_mm)),) * 2
+    def reach(self, unit_mm: float) -> FloatArray:
+        return BELL_REACH * super().reach(unit_mm)
 
-    def area_cells(self, pitch_mm: float) -> float:
-        return 2.0 * pi * float(self.size(pitch_mm)) ** 2
+    def area(self, unit_mm: float) -> float:
+        return 2.0 * pi * float(self.size(unit_mm)) ** 2
 
-    def _factor(self, away: FloatArray, axis: int, pitch_mm: float) -> FloatArray:
-        sigma = float(self.size(pitch_mm))
-        # Neighbouring cells share an edge: one more edge than cells.
-        edges = np.concatenate([away - 0.5, away[:, -1:] + 0.5], axis=1) / (sigma * sqrt(2.0))
-        mean = sigma * sqrt(pi / 2.0) * np.diff(erf(edges), axis=1)
-        return np.where(np.abs(away) <= _BELL_REACH * sigma + 0.5, mean, 0.0)
+    def share(self, down: FloatArray, along: FloatArray, side: Side, unit_mm: float) -> FloatArray:
+        sigma = float(self.size(unit_mm))
+
+        def factor(away: FloatArray) -> FloatArray:
+            high, low = ((away + end * side) / (sigma * sqrt(2.0)) for end in (0.5, -0.5))
+            mean = sigma * sqrt(pi / 2.0) * (erf(high) - erf(low)) / side
+            return np.where(np.abs(away) <= BELL_REACH * sigma + 0.5 * side, mean, 0.0)
+
+        return factor(down) * factor(along)
 
 
 class Disc(Shape):
     """Even pressure within a circle; a cell that the circle covers in part gets that part."""
 
     ROUND: ClassVar[bool] = True
-
     SIZE: ClassVar[str] = "radius"
     radius_cells: Length | None = None
     radius_mm: Length | None = None
 
-    def reach(self, pitch_mm: float) -> tuple[float, float]:
-        return (float(self.size(pitch_mm)),) * 2
+    def area(self, unit_mm: float) -> float:
+        return pi * float(self.size(unit_mm)) ** 2
 
-    def area_cells(self, pitch_mm: float) -> float:
-        return pi * float(self.size(pitch_mm)) ** 2
-
-    def cover(self, middles: FloatArray, rows: FloatArray, columns: FloatArray, pitch_mm: float) -> FloatArray:
-        """Areas of circle and cell in closed form.
+    def share(self, down: FloatArray, along: FloatArray, side: Side, unit_mm: float) -> FloatArray:
+        """In closed form.
 
         With H(x) the area of the half disc to the left of x, the area of the disc above y and to the left of x is
-        H(x) plus or minus the area below the half disc and below y. The area of a cell is a second difference of these.
+        H(x) plus or minus the area below the half disc and below y.
         """
-        radius = float(self.size(pitch_mm))
-        x = np.clip(np.append(columns - 0.5, columns[-1] + 0.5) - middles[:, 1:], -radius, radius)[:, None, :]
-        y = np.clip(np.append(rows - 0.5, rows[-1] + 0.5) - middles[:, :1], -radius, radius)[:, :, None]
+        radius = float(self.size(unit_mm))
 
         def left_of(place: FloatArray) -> FloatArray:
             area: FloatArray = 0.5 * (
@@ -245,14 +185,16 @@ class Disc(Shape):
             )
             return area + radius**2 * pi / 4.0
 
-        chord = np.sqrt(np.maximum(radius**2 - y**2, 0.0))  # half of it, at y
-        left, left_of_chord = left_of(x), left_of(-chord)
-        right_of_chord = radius**2 * pi / 2.0 - left_of_chord
-        below = np.minimum(left, left_of_chord) + np.abs(y) * (np.clip(x, -chord, chord) + chord)
-        below += np.maximum(left, right_of_chord) - right_of_chord
-        corner = left + np.sign(y) * below
-        covered = np.diff(np.diff(corner, axis=1), axis=2)
-        return np.clip(covered, 0.0, 1.0)
+        def up_to(y: FloatArray, x: FloatArray) -> FloatArray:
+            x, y = np.clip(x, -radius, radius), np.clip(y, -radius, radius)
+            chord = np.sqrt(np.maximum(radius**2 - y**2, 0.0))  # half of it, at y
+            left, left_of_chord = left_of(x), left_of(-chord)
+            right_of_chord = radius**2 * pi / 2.0 - left_of_chord
+            below = np.minimum(left, left_of_chord) + np.abs(y) * (np.clip(x, -chord, chord) + chord)
+            below += np.maximum(left, right_of_chord) - right_of_chord
+            return left + np.sign(y) * below
+
+        return _within(up_to, down, along, side)
 
 
 class Image(Shape):
@@ -289,28 +231,39 @@ class Image(Shape):
             raise InputError(f"{path}: has pixels outside 0 ... 1; each is a share of the load")
         return pixels
 
-    def reach(self, pitch_mm: float) -> tuple[float, float]:
-        height, width = self.size(pitch_mm)
-        return float(height) / 2.0, float(width) / 2.0
+    def reach(self, unit_mm: float) -> FloatArray:
+        return self.size(unit_mm) / 2.0
 
-    def area_cells(self, pitch_mm: float) -> float:
-        height, width = self.size(pitch_mm)
-        return float(height * width * self.pixels.mean())
+    def area(self, unit_mm: float) -> float:
+        return float(self.size(unit_mm).prod() * self.pixels.mean())
 
-    def cover(self, middles: FloatArray, rows: FloatArray, columns: FloatArray, pitch_mm: float) -> FloatArray:
-        size = self.size(pitch_mm)
-        down = _pixel_overlap(rows - middles[:, :1], float(size[0]), self.pixels.shape[0])
-        along = _pixel_overlap(columns - middles[:, 1:], float(size[1]), self.pixels.shape[1])
-        covered: FloatArray = down @ self.pixels @ along.transpose(0, 2, 1)
-        return covered
+    def share(self, down: FloatArray, along: FloatArray, side: Side, unit_mm: float) -> FloatArray:
+        """By the table of sums of all pixels above and to the left of a place."""
+        (height, width), pixels = self.size(unit_mm), self.pixels
+        sums = np.pad(pixels.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0))) * (height * width / pixels.size)
+
+        def up_to(y: FloatArray, x: FloatArray) -> FloatArray:
+            places = (y / height + 0.5) * pixels.shape[0], (x / width + 0.5) * pixels.shape[1]
+            inside = (np.clip(place, 0.0, most) for place, most in zip(places, pixels.shape, strict=True))
+            found: FloatArray = map_coordinates(sums, np.broadcast_arrays(*inside), order=1)
+            return found
+
+        return _within(up_to, down, along, side)
 
 
-def _pixel_overlap(away: FloatArray, size: float, pixels: int) -> FloatArray:
-    """(frames, cells, pixels) length that each cell, ``away`` from the picture's middle, shares with each pixel."""
-    edges = np.linspace(-size / 2.0, size / 2.0, pixels + 1)
-    low, high = away[:, :, None] - 0.5, away[:, :, None] + 0.5
-    shared: FloatArray = np.minimum(high, edges[1:]) - np.maximum(low, edges[:-1])
-    return np.maximum(shared, 0.0)
+def _overlap(away: FloatArray, side: Side, length: Side) -> FloatArray:
+    """Share of a cell's side that a stretch of so much length covers, whose middle is ``away`` from the cell's."""
+    shared = np.minimum(length / 2.0, away + side / 2.0) - np.maximum(-length / 2.0, away - side / 2.0)
+    return np.asarray(np.maximum(shared, 0.0) / side)
+
+
+def _within(
+    up_to: Callable[[FloatArray, FloatArray], FloatArray], down: FloatArray, along: FloatArray, side: Side
+) -> FloatArray:
+    """Mean over cells of what has the integral ``up_to`` a place, over all that lies before it on both axes."""
+    top, bottom, left, right = down - side / 2.0, down + side / 2.0, along - side / 2.0, along + side / 2.0
+    share = (up_to(bottom, right) - up_to(top, right) - up_to(bottom, left) + up_to(top, left)) / np.square(side)
+    return np.where(share > _ROUNDING, np.minimum(share, 1.0), 0.0)
 
 
 def _png(path: Path) -> FloatArray:

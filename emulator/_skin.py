@@ -19,13 +19,7 @@ from ..circuits import Design, adc_codes, scan_batch
 from ..common.arrays import IN_CACHE, CodeArray, FloatArray, IntArray
 from ._scene import Scene
 from ._spread import Spreading
-
-_LONGEST_BLOCK = 512
-"""frames; longer blocks would not be cheaper"""
-_LONGEST_DENSE_BLOCK = 8
-"""the same where each frame takes a dense system of all lines, which frames of a block do not share"""
-_REST_STEPS = 1.0 / 64.0
-"""ADC steps at full scale by which a cell may still be off when it is taken to be at rest again"""
+from ._tuning import LONGEST_BLOCK, LONGEST_DENSE_BLOCK, REST_STEPS
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +188,7 @@ class EmulatedSkin:
 def longest_block(design: Design) -> int:
     """Frames of the longest block of a design."""
     rows, columns = design.array.shape
-    longest = _LONGEST_DENSE_BLOCK if design.board.linear is None else _LONGEST_BLOCK
+    longest = LONGEST_DENSE_BLOCK if design.board.linear is None else LONGEST_BLOCK
     return min(longest, max(1, IN_CACHE // (rows * columns)))
 
 
@@ -212,7 +206,7 @@ class ScenePhysics:
         rest_ohm = scene.skin.cell.rest_resistance_ohm * rest_factor
         self._cells = scene.skin.cell.forward(self._shape, rest_resistance_ohm=rest_ohm)
         self._rest_ohm = self._cells.rest_resistance_ohm.ravel()
-        self._rest_tolerance = _REST_STEPS / 2.0**design.adc.bits
+        self._rest_tolerance = REST_STEPS / 2.0**design.adc.bits
         self._active = np.empty(0, dtype=np.intp)
         self._stepped = 0
         self._time_us: int | None = None

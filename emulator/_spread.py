@@ -13,9 +13,7 @@ import numpy as np
 from scipy.ndimage import convolve
 
 from ..common.arrays import FloatArray, IntArray
-
-_REACH = 4  # cells on each side
-_POINTS = 16  # Gauss-Legendre points along a cell's side
+from ._tuning import SPREAD_POINTS, SPREAD_REACH
 
 
 def spread(pressure_kpa: FloatArray, depth_pitches: float) -> FloatArray:
@@ -54,15 +52,15 @@ class Spreading:
             return cells, pressure_kpa
         rows, columns = self._shape
         row, column = np.divmod(cells, columns)
-        near = np.zeros((rows + 2 * _REACH, columns + 2 * _REACH), dtype=np.bool_)
-        for down in range(2 * _REACH + 1):
-            for along in range(2 * _REACH + 1):
+        near = np.zeros((rows + 2 * SPREAD_REACH, columns + 2 * SPREAD_REACH), dtype=np.bool_)
+        for down in range(2 * SPREAD_REACH + 1):
+            for along in range(2 * SPREAD_REACH + 1):
                 near[row + down, column + along] = True
-        felt = np.flatnonzero(near[_REACH:-_REACH, _REACH:-_REACH])
+        felt = np.flatnonzero(near[SPREAD_REACH:-SPREAD_REACH, SPREAD_REACH:-SPREAD_REACH])
         apart_row = felt // columns - row[:, None]
         apart_column = felt % columns - column[:, None]
-        within = (np.abs(apart_row) <= _REACH) & (np.abs(apart_column) <= _REACH)
-        centre = np.where(within, apart_row, 0) + _REACH, np.where(within, apart_column, 0) + _REACH
+        within = (np.abs(apart_row) <= SPREAD_REACH) & (np.abs(apart_column) <= SPREAD_REACH)
+        centre = np.where(within, apart_row, 0) + SPREAD_REACH, np.where(within, apart_column, 0) + SPREAD_REACH
         share = np.where(within, self._shares[centre], 0.0)
         # Not by BLAS, whose rounding differs from row to row: a load that is held must be held to the last bit, since
         # the paper's model takes any fall of the pressure for a release.
@@ -74,8 +72,8 @@ def shares(depth_pitches: float) -> FloatArray:
     """(9, 9) share of one cell's pressure that each cell around it feels, itself in the middle. Their sum is just
     below 1: force is conserved, and a little goes further out.
     """
-    points, weights = np.polynomial.legendre.leggauss(_POINTS)
-    centres = np.arange(-_REACH, _REACH + 1)
+    points, weights = np.polynomial.legendre.leggauss(SPREAD_POINTS)
+    centres = np.arange(-SPREAD_REACH, SPREAD_REACH + 1)
     along = (centres[:, None] + points / 2).ravel()  # of all points, in pitches from the loaded cell
     x, y = along[:, None], along[None, :]
     stress = sum(
@@ -84,7 +82,7 @@ def shares(depth_pitches: float) -> FloatArray:
         for sign_y in (1, -1)
     )
     count = len(centres)
-    tiles = np.reshape(stress, (count, _POINTS, count, _POINTS))
+    tiles = np.reshape(stress, (count, SPREAD_POINTS, count, SPREAD_POINTS))
     result: FloatArray = np.einsum("ipjq,p,q->ij", tiles, weights / 2, weights / 2)
     return result
 

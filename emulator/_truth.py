@@ -21,11 +21,9 @@ from ..common.arrays import AnyArray
 from ..common.files import whole_file
 from ..errors import InputError
 from ._skin import Sample
+from ._tuning import WRITTEN_BYTES, WRITTEN_S
 
 SPOOL_SUFFIX = ".spool.npy"
-_BLOCK_BYTES = 1 << 19
-_BLOCK_S = 1.0
-"""s after which a block is written even if it is not full"""
 
 
 class TruthFile:
@@ -56,7 +54,7 @@ class TruthFile:
                 ("volts", np.float64, shape),
             ]
         )
-        self._block = np.empty(max(1, _BLOCK_BYTES // self._record.itemsize), self._record)
+        self._block = np.empty(max(1, WRITTEN_BYTES // self._record.itemsize), self._record)
         self._waiting = 0
         self._frames = 0
         self._written_at = 0.0
@@ -84,7 +82,7 @@ class TruthFile:
         row["resistance_ohm"] = sample.resistance_ohm
         row["volts"] = sample.volts
         self._waiting += 1
-        if self._waiting == len(self._block) or time.monotonic() > self._written_at + _BLOCK_S:
+        if self._waiting == len(self._block) or time.monotonic() > self._written_at + WRITTEN_S:
             self._write_block()
 
     def __exit__(

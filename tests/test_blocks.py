@@ -15,15 +15,12 @@ from designs import digitised
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from ohmskin.bench import scenes
 from ohmskin.bench._driver import APART_S, design, every_frame, packets_of, port_of, pressed
 from ohmskin.cell import Cell, ContactModel, Estimator, M10Model
-from ohmskin.circuits import Reason, adc_codes, scan
+from ohmskin.circuits import adc_codes, scan
 from ohmskin.common.arrays import FloatArray
-from ohmskin.common.measurement import CONDUCTANCE, FIELDS, Measurement
-from ohmskin.driver import Calibration, CountReader, Frame, Skin
-from ohmskin.driver._estimate import Estimate
-from ohmskin.driver._rest import Rest
+from ohmskin.common.measurement import FIELDS, Measurement
+from ohmskin.driver import CountReader, Frame, Skin
 from ohmskin.emulator import Board
 from ohmskin.errors import InputError, ProtocolError
 
@@ -213,36 +210,6 @@ def test_frames_that_do_not_fit_are_reported_where_they_came(spoilt: set[int], m
     one_by_one = outcomes(lambda skin: [skin.read()], spoilt)
     assert outcomes(lambda skin: skin.read_many(most), spoilt) == one_by_one
     assert [number for number in one_by_one if not isinstance(number, str)] == sorted(set(range(40)) - spoilt)
-
-
-@pytest.mark.parametrize("kind", ["example", "fsr"])
-def test_an_estimate_is_the_estimator_s_of_what_was_measured_with_each_cell_s_gain(kind: str) -> None:
-    """Of one frame and of several; without a current a cell that is open at rest bears no load; nothing is changed."""
-    cell, random, frames = scenes.cells()[kind], np.random.default_rng(3), 30
-    kpa = np.abs(np.cumsum(random.normal(0.0, 0.05, (frames, 3, 2)), axis=0)) * cell.full_scale_kpa
-    conductance = 1.0 / cell.forward((3, 2)).run(np.full(frames, 0.02), kpa)
-    measured = [Measurement.of(conductance=each, noise_variance=(1e-3 * each) ** 2) for each in conductance]
-    for each in measured:
-        each.reason[:] = 0
-        each.reason[2, 1], each.conductance[2, 1] = Reason.NO_CURRENT, np.nan
-    gain, ones = np.linspace(0.8, 1.3, 6).reshape(3, 2), np.ones((3, 2))
-    given = {"rest_ohm": cell.rest_resistance_ohm * ones, "gain": gain, "gain_std": 0.1 * ones, "rest_std_kpa": ones}
-    kept = {"residual_kpa": ones, "calibrated": ones > 0.0, "loads_kpa": (1.0,), "presses": 1, "serial_number": ""}
-    calibration = Calibration(**given, **kept, design_hash="", cell_hash="", date="")  # type: ignore[arg-type]
-    rest, dt_s = Rest(cell, calibration), np.full(frames, 0.02)
-    estimator = cell.estimator((3, 2), rest_resistance_ohm=rest.ohm, rest_error=rest.error)
-    blocks = np.stack([each.block for each in measured])
-    before = blocks.copy()
-    if cell.open_at_rest:
-        blocks[:, CONDUCTANCE, 2, 1] = 0.0
-    pressure, std = estimator.run_measured(dt_s, blocks)
-    estimate = Estimate(cell, (3, 2), None, rest, calibration)
-    taken = [estimate.take(dt_s[a:b].tolist(), measured[a:b]) for a, b in itertools.pairwise([0, 1, 2, 12, 13, frames])]
-    found, spread = (np.concatenate(parts) for parts in zip(*taken, strict=True))
-    np.testing.assert_allclose(found, gain * pressure)
-    np.testing.assert_allclose(spread, np.sqrt((gain * std) ** 2 + (0.1 * gain * pressure) ** 2 + 1.0))
-    assert np.isfinite(found[1:, 2, 1]).all() == cell.open_at_rest
-    np.testing.assert_array_equal([each.block for each in measured], before)
 
 
 # What a usual frame costs is counted in calls of Python, which do not depend on the machine or its load

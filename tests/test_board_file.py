@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 from boards import Script, lossless, scene
-from cobs import cobs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -127,24 +126,6 @@ def test_packets_of_a_frame_are_placed_by_what_they_say() -> None:
     assert [event.sequence for event in events if isinstance(event, FramePacket)] == [0, 1, 2, 3]
     del packets[4]
     assert frames(heard(family, *packets)) == [[[0, 20, 1], [21, 2, 22]], *frames(events)[2:]]
-
-
-def test_a_modbus_answer_is_one_block() -> None:
-    body, crc = bytes.fromhex("01 04 06 00 01 00 02 00 03"), 0xFFFF
-    for byte in body:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
-    answer = body + crc.to_bytes(2, "little")
-    family = described(
-        {"format": "binary", "block": [{"fields": ["const 0x01 0x04 0x06", "cells uint16be 3", "crc16"]}]},
-        1,
-        3,
-        12,
-        poll="?",
-    )
-    assert frames(heard(family, answer[:4], answer[4:])) == [[[1, 2, 3]]]
-    assert frames(heard(family, answer[:-1] + bytes([answer[-1] ^ 1]))) == []
 
 
 def test_a_map_places_each_number() -> None:
@@ -441,29 +422,12 @@ def test_a_checksum_is_of_what_the_file_says(of: str) -> None:
     assert frames(heard(family, whole[:4] + b"\x09" + whole[5:], whole)) == [A]
 
 
-def test_cobs_packets() -> None:
-    family = binary(word="uint16le", framing="cobs", checksum="sum8")
-    cells = struct.pack("<6H", *range(1, 7))
-    packet = bytes(cobs.encode(cells + bytes([21]))) + b"\0"
-    assert frames(heard(family, packet[4:] + packet + b"\0\0" + packet)) == [A, A]
-    assert board_protocol(family).frame(FramePacket.of(np.array(A), sequence=0, time_us=0)) == packet
-    assert reasons(heard(family, packet[:-2] + b"\x09\0")) == ["the checksum does not match"]
-
-
 def test_text_between_frames_without_a_checksum_is_skipped() -> None:
     family = binary(word="uint8", header=[0xAA, 0x55])
     frame = b"\xaa\x55\1\2\3\4\5\6"
     events = heard(family, b"boot ok\r\n", *[frame + b"[wifi] rssi -60\r\n", frame] * 4)
     assert frames(events) == [A] * 8
     assert reasons(events).count("text between two frames") == 4
-
-
-def test_raw_bytes_between_pauses() -> None:
-    family = binary(word="uint8")
-    pieces = [bytes([4, 5, 6]), *[b"\1\2\3\4\5\6"] * 12]
-    seen = frames(heard(family, *pieces, apart_s=0.03))
-    assert seen == [A] * len(seen)
-    assert len(seen) >= 8
 
 
 @pytest.mark.parametrize("start", [{"poll": "a"}, {"send": "go", "poll": "a"}, {"send": [1, 2]}])

@@ -15,13 +15,14 @@ from boards import DESIGN, Wire, lossless, scene
 from cells import DT, EXAMPLE, FULL, exactly
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from uncompiled import switched_off
 
 from ohmskin.bench import scenarios, scenes
-from ohmskin.cell import Cell, ContactModel, Estimator, estimate_recording
+from ohmskin.cell import Cell, ContactModel, Estimator, M10Model, estimate_recording
 from ohmskin.cell._cell import Calibrated
 from ohmskin.cell.inversions import Limits, StaticCurve
-from ohmskin.common import compiled
 from ohmskin.common.arrays import FloatArray
+from ohmskin.common.config import parse
 from ohmskin.common.measurement import Measurement
 from ohmskin.emulator import Board
 from ohmskin.errors import InputError
@@ -353,7 +354,7 @@ def test_kernels_do_the_same_as_plain_python(kind: str, name: str | None) -> Non
         return values
 
     by_code = found()
-    with compiled.switched_off():
+    with switched_off():
         np.testing.assert_array_equal(found(), by_code)
 
 
@@ -452,6 +453,37 @@ EVERY_S = pytest.mark.parametrize(
         (_paper, "inverse"),
     ],
 )
+
+
+def test_an_estimator_that_is_learned_from_a_model_states_its_errors() -> None:
+    """Loads of other kinds than it was taught by; its deviations are neither too small nor far too large."""
+    cell = EXAMPLE.replace(model=M10Model(a=0.3, alpha1=0.4, rise1_s=0.3, fall1_s=4.0, alpha2=0.2, fall2_s=60.0))
+    share = np.interp(DT * np.arange(900)[:, None], [3, 4, 20, 22, 50, 51, 70], [0, 1, 1, 0.3, 0.3, 0.8, 0]) * [
+        0.9,
+        0.5,
+    ]
+    pressure, std = stepped(cell.estimator((2,), "distilled", noise=0.0), sensed(cell, share, 0.0, dt_s=DT), DT)
+    used = (pressure - FULL * share)[40:700] / std[40:700]
+    assert np.mean(np.abs(used) < 2.0) > 0.8
+    assert np.sqrt(np.mean(used**2)) > 0.1
+    assert std[40:700].max() < 0.15 * FULL
+
+
+@pytest.mark.parametrize(
+    ("readings", "loads", "message"),
+    [
+        ((1.0,), (2.0,), "1 readings and 1 loads; expected as many, at least 2"),
+        ((1.0, 2.0), (2.0, 3.0, 4.0), "2 readings and 3 loads"),
+        ((1.0, 1.0), (2.0, 3.0), "readings must increase"),
+        ((1.0, 2.0, 3.0), (2.0, 3.0, 1.0), "loads must rise, or fall, all along"),
+    ],
+)
+def test_a_curve_that_is_no_function_is_refused(
+    readings: tuple[float, ...], loads: tuple[float, ...], message: str
+) -> None:
+    tables = {"readings": readings, "loads": loads, "limits": {"lowest": 0, "highest": 1}, "std_kpa": 0.1}
+    with pytest.raises(InputError, match=message):
+        parse(tables, StaticCurve, source="curve")
 
 
 @EVERY_S

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ohmskin.cell import Cell, Layout, Role, load_recording, read_files
-from ohmskin.common.units import header_unit
+from ohmskin.cell.identification._units import header_unit
 from ohmskin.emulator import LinkFault
 from ohmskin.errors import InputError
 

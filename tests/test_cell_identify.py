@@ -54,6 +54,8 @@ def test_the_example_cell_is_found_again() -> None:
     assert model.t2_s == pytest.approx(truth.t2_s, rel=0.1)
     for parameter in paper.fit.parameters:
         assert parameter.std_error >= 0
+    rest = paper.fit.parameters[-1]
+    assert abs(rest.value - 1e4) < 3.0 * rest.std_error < 0.01 * 1e4
     assert paper.cell.default_estimator == "inverse"
 
 
@@ -242,6 +244,7 @@ READ = 1e4 + 300 * PRESS
     ("time", "pressure", "resistance", "message"),
     [
         (TIME[:50], PRESS[:50], READ[:50], "too short"),
+        (1e3 + TIME[:200] / 100, PRESS[:200], READ[:200], "200 readings over 0.199 s are too short"),
         (TIME, 0 * PRESS, READ, "pressure_kpa stays at 0"),
         (TIME, PRESS, 0 * READ + 1e4, "resistance_ohm stays at 10000"),
         (TIME, READ, PRESS, "are the columns exchanged"),
@@ -319,6 +322,8 @@ def test_each_fold_holds_a_whole_press_that_follows_on_presses(presses: int, cou
     load = np.where(time > 10, 0.5 * (1 - np.cos(2 * np.pi * (time - 10) / 20)), 0) * (time < 10 + 20 * presses)
     parts = folds(checked_recording(time, FULL * load, sense(EXAMPLE, load)), FULL)
     assert len(parts) == count
+    ends = [*(part.start_s for part in parts[1:]), time[-1] + DT][:count]
+    assert [part.end_s for part in parts] == pytest.approx(ends)
     for part in parts:
         assert part.start_s > 10 + 1.1 * 20
         assert part.end_s - part.start_s > 0.85 * 20
@@ -330,8 +335,12 @@ def test_of_a_single_press_nothing_is_claimed() -> None:
     time = np.arange(0, 90, DT)
     load = np.interp(time, [5, 30, 40, 42, 44, 50, 80], [0, 1, 0.8, 0.95, 0.7, 0.75, 0])
     read = sense(EXAMPLE.replace(model=model), load) * (1 + 1e-3 * np.random.default_rng(0).standard_normal(len(time)))
-    found = calibrate(checked_recording(time, FULL * load, read), full_scale_kpa=FULL)
+    told: list[tuple[int, int]] = []
+    recording = checked_recording(time, FULL * load, read)
+    found = calibrate(recording, full_scale_kpa=FULL, progress=lambda done, total, _: told.append((done, total)))
     assert found.folds == ()
+    assert told == [(number, told[0][1]) for number in range(1, len(told) + 1)]
+    assert 0 < len(told) <= told[0][1]
     assert isinstance(found.fit.model, M10Model)
     assert "is not known, as no whole press is left to judge by" in calibration_text(found)
     learned = found.cell.estimators

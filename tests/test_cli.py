@@ -17,6 +17,7 @@ import pytest
 
 from ohmskin.circuits import Design, effects, scan
 from ohmskin.cli import COMMANDS, ohmskin, run
+from ohmskin.cli._bar import progress_bar
 
 DESIGN = """
 [array]
@@ -175,6 +176,22 @@ def test_effects_are_listed_with_their_size(folder: Path, capsys: pytest.Capture
     result = scan(Design.load("design.toml"), np.array([[1e4, 2e4, np.inf], [1e4, 1e4, 5e3]]))
     assert [effect.modelled for effect in effects(result.design, result.cells)].count(True) == 1
     assert len(lines) == len(effects(result.design, result.cells))
+
+
+def test_a_log_shows_progress_where_there_is_no_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From what is told first, although nothing is told again for long; but nothing of a command that ends at once."""
+    with progress_bar("verifying") as tell:
+        tell(1, 4, "D1 crosstalk")
+    assert not capsys.readouterr().err
+    monkeypatch.setattr("ohmskin.cli._bar.FIRST_S", 0.01)
+    shown = ""
+    with progress_bar("verifying") as tell:
+        tell(1, 4, "D1 crosstalk")
+        while not shown:  # the test's own timeout is the judge
+            shown = capsys.readouterr().err
+    assert shown.splitlines()[0] == "verifying, 0 s: 25 %, D1 crosstalk"
 
 
 def test_saturated_outputs_are_not_silent(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

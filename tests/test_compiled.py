@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from uncompiled import switched_off
 
 from ohmskin.common import compiled
 from ohmskin.common.arrays import FloatArray
@@ -114,7 +115,7 @@ def test_a_kernel_changes_the_records_it_is_given() -> None:
     """Also as plain Python; and the fields are columns of one array."""
     points, by = compiled.zeros(Point, 4), record(Point, x=2.0, y=3.0, series=np.zeros(3))
     move_each(points, np.array([1, 3]), by)
-    with compiled.switched_off():
+    with switched_off():
         move_each(points, np.array([3]), by)
     np.testing.assert_array_equal(points["x"], [0.0, 2.0, 0.0, 4.0])
     np.testing.assert_array_equal(values(points)[:, 3], [0.0, 6.0, 0.0, 12.0])
@@ -127,7 +128,7 @@ def test_a_kernel_is_the_same_function_where_it_is_switched_off(monkeypatch: pyt
     assert first_of(rows, 1) == first_of.function(rows, 1) == 3.0
     code = first_of.machine_code()
     assert code is not None
-    with compiled.switched_off():
+    with switched_off():
         assert first_of.code is first_of.unchecked is first_of.function
         assert first_of.machine_code() is None
         assert "OHMSKIN_COMPILED=off" in (compiled.why_not() or "")

@@ -122,29 +122,6 @@ def test_the_ends_of_the_converter_are_not_valid(count: int, valid: bool) -> Non
     assert (settled(CountReader(unlimited), np.full((3, 2), count)).valid == valid).all()
 
 
-def test_real_parts_are_taken_out_of_the_reading() -> None:
-    """Leads, fabric, finite gain and offset: each cell comes back within the step of the converter."""
-    real = design(
-        array={
-            "rows": 3,
-            "columns": 2,
-            "row_lead": 70.0,
-            "row_segment": 5.0,
-            "column_segment": 5.0,
-            "column_lead": 20.0,
-        },
-        readout=DESIGN["readout"] | {"open_loop_gain": 1e3, "offset_voltage": 5e-3, "bias_current": 1e-7},
-        adc={"bits": 16, "range": [0.0, 3.3]},
-    )
-    cells = np.array([[1e4, 2e4], [1.5e4, 8e3], [3e4, 1.2e4]])
-    volts = scan(real, cells).volts
-    apparent = np.abs(apparent_resistance(real, volts) / cells - 1)
-    reading = CountReader(real)(adc_codes(real, volts))
-    assert apparent.max() > 0.02
-    assert (reading.reason != Reason.UNSOLVED).all()
-    np.testing.assert_allclose(reading.resistance, cells, rtol=2e-4)
-
-
 @pytest.mark.parametrize(("drive", "weak"), [(1.0, 1e7), (-1.0, np.inf)])
 def test_a_cell_under_the_range_costs_no_other_with_a_reference_in_mid_supply(drive: float, weak: float) -> None:
     """Its code may lie on the wrong side of the reference: no current is less than none."""
@@ -288,21 +265,6 @@ def test_what_the_line_spoils_is_counted_as_lost_and_never_believed() -> None:
     assert total_lost(frames) > 50
     for frame in frames:
         np.testing.assert_array_equal(frame.counts, taken[frame.sequence].counts)
-
-
-def lost(*pieces: bytes) -> list[int]:
-    with lossless(Script(sheet(), *pieces)) as skin:
-        return [frame.lost_before for frame in islice(skin, len(pieces))]
-
-
-def test_losses_are_counted_across_the_wrap_of_the_sequence_number() -> None:
-    top = 2**32 - 1
-    with lossless(Script(sheet(sequence=top), packet(top, us=5), packet(0, us=6), packet(3, us=7))) as skin:
-        assert [frame.lost_before for frame in islice(skin, 3)] == [0, 0, 2]
-
-
-def test_frames_lost_before_the_first_are_counted_from_the_description() -> None:
-    assert lost(packet(4, us=80_000)) == [4]
 
 
 TURNED = encode(FramePacket.of(np.full((2, 3), 2000), sequence=0, time_us=0, boot_id=1))

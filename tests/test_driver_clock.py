@@ -241,21 +241,6 @@ def test_frames_of_an_arrival_are_spread_backwards_by_the_usual_interval(steps: 
         assert times.next(received_s + 0.5) == received_s + 0.5
 
 
-@given(st.lists(st.tuples(st.floats(1e-4, 1.0), st.integers(0, 30)), min_size=1, max_size=60), st.floats(0, 1e5))
-def test_frames_that_came_together_lie_between_their_arrival_and_the_one_before(
-    steps: list[tuple[float, int]], start_s: float
-) -> None:
-    received_s = start_s + np.cumsum([step for step, _ in steps])
-    counts = np.array([frames for _, frames in steps])
-    found = spread(list(zip(received_s.tolist(), counts.tolist(), strict=True)))
-    owner = np.repeat(np.arange(len(counts)), counts)
-    assert (found <= received_s[owner]).all()
-    ends = np.cumsum(counts)[counts > 0] - 1
-    assert (found[ends] == received_s[counts > 0]).all()
-    first = counts[owner[0]] if len(found) else 0  # nothing is known of the time before the first arrival
-    assert (np.diff(found[max(first - 1, 0) :]) > 0).all()
-
-
 def test_a_host_that_reads_now_and_then_finds_the_board_s_frame_rate() -> None:
     """A board at 100 Hz, read every 1 to 80 ms, and once after half a second in which it sent nothing."""
     rng = np.random.default_rng(3)

@@ -30,6 +30,7 @@ from boards import EXAMPLES, Flow, Script, Wire, described, frame, gone, identit
 
 from ohmskin.circuits import Design
 from ohmskin.driver import Frame, LinkStatistics, Recorder, Skin, discover, open_port
+from ohmskin.driver._port_names import why_not_opened
 from ohmskin.emulator import Board, PtyPort, Rfc2217Port, TcpPort, running
 from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ohmskin.wire import (
@@ -193,12 +194,6 @@ class TestFiniteBoards:
         assert 0 < stats.lost < sent
         assert (taken + stats.lost, stats.frames, stats.reboots, stats.reconnects) == (sent, taken, 0, 0)
 
-    def test_what_the_line_lost_at_the_end_is_counted(self) -> None:
-        pieces = [frame(0), frame(1), identity(sequence=5, over=True)]
-        with lossless(described(*pieces)) as skin:
-            assert len(list(skin)) == 2
-        assert (skin.stats().frames, skin.stats().lost) == (2, 3)
-
     def test_a_board_that_ended_before_it_described_itself_says_so(self) -> None:
         with pytest.raises(LinkEnded, match="come to the end of its frames, and has not described itself before"):
             Skin(Script(identity(), frame(0), identity(over=True)), timeout=30.0)
@@ -228,15 +223,6 @@ class TestFiniteBoards:
 
 class TestOrderOfPackets:
     """What is made of numbers and times that go back."""
-
-    def test_packets_that_were_overtaken_are_dropped_and_counted(self) -> None:
-        sent = [0, 1, 3, 2, 4, 6, 5, 7]
-        with lossless(described(*map(frame, sent), identity(sequence=8, over=True))) as skin:
-            taken = list(skin)
-        stats = skin.stats()
-        assert [one.sequence for one in taken] == [0, 1, 3, 4, 6, 7]
-        assert [one.lost_before for one in taken] == [0, 0, 1, 0, 1, 0]
-        assert (stats.late, stats.duplicates, stats.reboots, stats.frames + (stats.lost or 0)) == (2, 0, 0, 8)
 
     @pytest.mark.parametrize(("later", "reboots"), [(63, 0), (64, 1)])
     def test_a_packet_that_is_further_back_was_not_overtaken(self, later: int, reboots: int) -> None:
@@ -448,6 +434,26 @@ class TestPorts:
             Skin(port, timeout=0.3)
         assert looks in str(caught.value)
         assert f"`ohmskin doctor {port.name}`" in str(caught.value)
+
+    @pytest.mark.parametrize(
+        ("mode", "mine", "said"),
+        [
+            (0o660, False, "belongs to group '{}', which this user is not in; `ohmskin doctor {}` says"),
+            (0o640, False, "belongs to group '{}', and its mode -rw-r----- keeps this user out; `ohmskin doctor {}`"),
+            (0o660, True, "belongs to group '{}', and its mode -rw-rw---- keeps this user out; `ohmskin doctor {}`"),
+        ],
+    )
+    def test_a_forbidden_port_is_told_with_its_group_or_its_mode(
+        self, mode: int, mine: bool, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        port = tmp_path / "ttyUSB0"
+        port.touch(mode)
+        port.chmod(mode)
+        group = port.stat().st_gid
+        monkeypatch.setattr(os, "getegid", lambda: group if mine else group + 1)
+        monkeypatch.setattr(os, "getgroups", list)
+        told = why_not_opened(str(port), PermissionError(errno.EACCES, "Permission denied"))
+        assert said.format(port.group(), port) in told
 
     def test_too_many_open_files_are_one_message_and_leave_nothing_open(self, monkeypatch: pytest.MonkeyPatch) -> None:
         def fail() -> None:

@@ -12,7 +12,7 @@ from ohmskin.cell import Cell
 from ohmskin.circuits import Design, Reason, adc_codes, recover, scan, scan_batch
 from ohmskin.common.arrays import BoolArray, FloatArray
 from ohmskin.driver import CountReader, Skin
-from ohmskin.driver._line_faults import EVERY_S, Creep, LineFaults
+from ohmskin.driver._line_faults import EVERY_S, OVERLOAD, Creep, LineFaults
 
 REST_OHM, BEGIN, SHAPE = 18e3, 6, (8, 8)
 CIRCUITS: dict[str, dict[str, Any]] = {
@@ -124,8 +124,11 @@ def test_a_line_that_cracks_is_told_from_a_load(circuit: str, kind: str) -> None
 
 @pytest.mark.parametrize("kind", ["broken-row", "broken-column"])
 def test_what_no_load_gives_is_told_at_once(kind: str) -> None:
-    fault, behind = crack(kind, 1e5)
-    found = taken(board("amplifiers"), PAPER, loads(12), fault)
+    # Cells behind r ohm read 1 + 6 r / R times their resistance R: here somewhat more than an overload makes of it.
+    cell = PAPER.replace(full_scale_kpa=PAPER.full_scale_kpa / 3)
+    at_once = cell.forward(()).step(0.01, cell.full_scale_kpa).item() / REST_OHM - 1.0
+    fault, behind = crack(kind, 1.3 * OVERLOAD * at_once * REST_OHM / 6)
+    found = taken(board("amplifiers"), cell, loads(12), fault)
     assert np.array_equal(found[BEGIN + 2], behind)
 
 

@@ -16,13 +16,11 @@ import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import serial
-from boards import DESIGN, WHAT, Flow, Script, Wire, described, frame, gone, identity, lossless, scene, sheet, until
+from boards import DESIGN, WHAT, Flow, Script, described, frame, gone, identity, lossless, scene, sheet, until
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -119,10 +117,6 @@ class TestDelivery:
         assert sequences(mine) == sequences(seen) == sequences(shared) == list(range(50))
         for one, another in zip(mine, shared, strict=True):
             assert one.pressure is another.pressure  # converted once, whoever asks
-
-    def test_lossless_delivery_waits_for_its_reader(self) -> None:
-        with lossless(Wire(Board(scene())), queue=10) as skin:
-            assert sequences(list(islice(skin, 300))) == list(range(300))
 
     def test_a_slow_policy_gets_all_frames_since_its_last_image(self) -> None:
         port = described(*(frame(k, us=10_000 * k) for k in (0, 1, 2, 4, 5)))
@@ -301,14 +295,6 @@ class TestEnds:
 class TestDamage:
     """Duplicates, faults and overruns."""
 
-    def test_a_duplicate_is_counted_and_dropped(self) -> None:
-        pieces = [frame(0), frame(1), frame(1), frame(0), frame(2), frame(2), frame(3, flags=Flag.LAST)]
-        with lossless(described(*pieces)) as skin:
-            frames = list(skin)
-        assert sequences(frames) == [0, 1, 2, 3]
-        assert not any(f.rebooted or f.lost_before for f in frames)
-        assert skin.stats().duplicates == 3
-
     def test_after_a_fault_the_frames_go_on(self) -> None:
         pieces = [frame(5), encode(FramePacket.of(np.full((3, 2), 9), sequence=2, time_us=9000, boot_id=1)), frame(10)]
         with lossless(described(*pieces)) as skin:
@@ -317,12 +303,6 @@ class TestDamage:
                 next(skin)
             after = next(skin)
         assert (after.sequence, after.lost_before) == (10, 7)
-
-    def test_noise_is_counted_and_so_is_the_return_of_packets(self) -> None:
-        pieces = [frame(0), b"\xa5noise\0", b"\xa5more\0", frame(1), b"x\0", frame(2, flags=Flag.LAST)]
-        with lossless(described(*pieces)) as skin:
-            assert len(list(skin)) == 3
-        assert (skin.stats().corrupt, skin.stats().resyncs) == (3, 0)
 
     @given(st.lists(st.sampled_from([*SIX_FRAMES, b"\0", b"junk\0", identity(), sheet()]), max_size=30))
     def test_every_frame_that_came_is_in_one_count(self, pieces: list[bytes]) -> None:
@@ -580,34 +560,6 @@ class TestReconnection:
             names[other.name] = "USB-1"
             assert next(frame for frame in skin if frame.reconnected).rebooted
 
-    def test_a_board_without_a_usb_number_is_found_under_another_name(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """Many converters have no serial number; the board's own tells which of the ports that appear is its."""
-        opened, open_port = list[str](), serial.serial_for_url
-
-        def note(name: str, *given: Any, **options: Any) -> serial.SerialBase:
-            opened.append(name)
-            return open_port(name, *given, **options)
-
-        another = scene(board={"serial_number": "B2", "frame_rate": 500.0})
-        unplugged = {"kind": "unplug", "at_s": 3.0, "duration_s": 0.5, "name": "skin-9"}
-        moves = scene(board={"serial_number": "A1", "frame_rate": 500.0}, link_fault=[unplugged])
-        with (
-            running(scene(board={"serial_number": "C3"}), PtyPort(tmp_path / "there-all-the-time")),
-            running(moves, PtyPort(tmp_path / "skin")),
-            Skin.open(str(tmp_path / "skin"), reconnect=60.0, timeout=30.0) as skin,
-        ):
-            monkeypatch.setattr(serial, "serial_for_url", note)
-            next(skin)
-            until(lambda: skin.away is not None)
-            with running(another, PtyPort(tmp_path / "skin-1")):
-                back = next(frame for frame in skin if frame.reconnected)
-                assert back.rebooted
-                assert skin.serial_number == "A1"
-        assert str(tmp_path / "skin-9") in opened
-        assert str(tmp_path / "there-all-the-time") not in opened
-
 
 def listed_ports(monkeypatch: pytest.MonkeyPatch) -> dict[str, str | None]:
     """Ports that the operating system lists from now on: name -> serial number of the USB device."""
@@ -622,24 +574,6 @@ def listed_ports(monkeypatch: pytest.MonkeyPatch) -> dict[str, str | None]:
 
 
 class TestPorts:
-    def test_more_than_1024_descriptors(self) -> None:
-        """select() cannot wait for a descriptor beyond 1023."""
-        resource = pytest.importorskip("resource")
-        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-        if hard != resource.RLIM_INFINITY and hard < 1300:
-            pytest.skip(f"this system allows {hard} descriptors")
-        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 1300), hard))
-        spare, port = [], PtyPort()
-        try:
-            with running(scene(), port):
-                spare = [os.open("/dev/null", os.O_RDONLY) for _ in range(1100)]
-                with Skin.open(port.name) as skin:
-                    assert next(skin).sequence is not None
-        finally:
-            for descriptor in spare:
-                os.close(descriptor)
-            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-
     def test_a_terminal_window_is_not_written_to(self) -> None:
         """A link that an emulator left behind may lead to what is now somebody's terminal."""
         window, terminal = pty.openpty()

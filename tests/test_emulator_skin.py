@@ -134,7 +134,7 @@ def test_coverage_is_the_area_that_counting_finds(center: tuple[float, float], s
         Bump(center=center, sigma_cells=size),
     ):
         np.testing.assert_allclose(coverage(shape, (6, 7)), brute(shape, (6, 7)), atol=0.03)
-        assert coverage(shape, (60, 60)).sum() <= shape.area_cells(25.4) * (1 + 1e-9) + 1e-9
+        assert coverage(shape, (60, 60)).sum() <= shape.area(25.4) * (1 + 1e-9) + 1e-9
 
 
 def test_a_sliding_shape_is_at_each_time_the_shape_at_that_place() -> None:
@@ -168,6 +168,32 @@ def test_millimetres_are_cells_times_the_pitch() -> None:
     assert newtons == pytest.approx(3.0)
 
 
+@pytest.mark.parametrize(
+    "shape",
+    [{"point": {}}, {"disc": {"radius_mm": 5.0}}, {"bump": {"sigma_mm": 3.0}}, {"rectangle": {"size_mm": [9, 5]}}],
+)
+def test_cells_anywhere_are_pressed_as_those_of_an_array_are(shape: dict[str, Any]) -> None:
+    """By a shape whose path begins and ends beyond the skin and crosses it: this was refused."""
+    array = Geometry.rectangle((9, 7), 0.004)
+    placed = Geometry(array.places_mm.copy(), array.areas_mm2.copy())
+    path = [[0.0, -40.0, 3.0], [1.0, 70.0, 21.0]]
+    contact = Contact.model_validate({**shape, "path_mm": path, "load_kpa": [[0.0, 2.0]]})
+    pressed = []
+    for geometry in (array, placed):
+        contact.check(geometry)
+        cells, pressure = contact.pressure_on(np.linspace(0.0, 1.0, 23), geometry)
+        pressed.append(np.zeros((23, 63)))
+        pressed[-1][:, cells] = pressure
+    np.testing.assert_allclose(*pressed, atol=1e-12)
+    assert pressed[0].max() > 0.5
+    away = Contact.model_validate(
+        {**shape, "path_mm": [[0.0, -40.0, 3.0], [1.0, -40.0, 70.0]], "load_kpa": [[0.0, 2.0]]}
+    )
+    for geometry in (array, placed):
+        with pytest.raises(InputError, match="does not reach"):
+            away.check(geometry)
+
+
 def test_a_picture_presses_with_its_pixels(tmp_path: Path) -> None:
     (tmp_path / "foot.csv").write_text("1,0\n0,0.5\n")
     image = Image(file=tmp_path / "foot.csv", center=(2.0, 3.0), size_cells=(4.0, 2.0))
@@ -176,7 +202,7 @@ def test_a_picture_presses_with_its_pixels(tmp_path: Path) -> None:
     expected[0:3, 2:5] = [[0.25, 0.25, 0], [0.5, 0.5, 0], [0.25, 0.375, 0.125]]
     expected[3:5, 2:5] = [[0, 0.25, 0.25], [0, 0.125, 0.125]]
     np.testing.assert_allclose(coverage(image, (6, 6)), expected, atol=1e-12)
-    assert image.area_cells(1.0) == pytest.approx(expected.sum())
+    assert image.area(1.0) == pytest.approx(expected.sum())
 
 
 def test_taps_and_sines_repeat_and_end() -> None:

@@ -14,6 +14,7 @@ from verified import AMPLIFIED, complete
 from ohmskin.circuits import Design, Requirement
 from ohmskin.cli import run
 from ohmskin.verification import DesignUnderTest, Variation, explore, prototype, remedies, verify
+from ohmskin.verification._explore import wirings
 
 
 def _scaled(design: Design, key: str, factor: float) -> Design:
@@ -131,7 +132,10 @@ def test_a_load_beyond_its_best_value_is_made_smaller_and_dominated_rows_are_not
         '[[requirement]]\nid = "D6"\nquantity = "adc_range_used"\nmin = 8.0\nunit = "%"\n'
     )
     dut = DesignUnderTest(Design.load(file))
-    (remedy,) = [one for one in remedies(dut, dut.design.requirement) if one.part == "readout.reference_resistance"]
+    told: list[tuple[int, int]] = []
+    mended = list(remedies(dut, 3 * dut.design.requirement, progress=lambda done, total, _: told.append((done, total))))
+    assert told == [(0, 3), (1, 3), (2, 3)]
+    (remedy,) = [one for one in mended[: len(mended) // 3] if one.part == "readout.reference_resistance"]
     assert remedy.factor < 1.0
     found = explore(dut, points=14)
     best = next(one for one in found if one.changes.get("reference resistor") == pytest.approx(316 / 1e4, rel=0.01))
@@ -182,3 +186,6 @@ def test_other_idle_lines_and_circuits_come_first() -> None:
     named = [variation.name for variation in explore(dut, points=4)]
     assert named[0] == "the design itself"
     assert {remedy.part for remedy in found} <= set(named)
+    assert "idle rows at the reference" in named
+    grounded = dut.with_design(dut.design.replace(drive={"idle_rows": "ground", "idle_row_resistance": np.inf}))
+    assert set(wirings(dut)) - set(wirings(grounded)) == {"idle rows at the reference"}

@@ -22,7 +22,6 @@ from ohmskin.common.archives import Stored, read_array, read_arrays
 from ohmskin.common.config import read_toml
 from ohmskin.common.files import check_writable, read_bytes, whole_file, write_together
 from ohmskin.common.tables import read_cells, read_columns, write_text
-from ohmskin.driver import Tare
 from ohmskin.errors import InputError, LinkError
 
 SCANNING = [sys.executable, "-m", "ohmskin", "scan", "design.toml", "--cells", "cells.csv", "-o"]
@@ -377,46 +376,3 @@ def test_a_declared_size_takes_no_memory(tmp_path: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(InputError, match="other bytes than its header says"):
         read(path, Stored("numbers", CELLS), most_bytes=2**31)
-
-
-GOOD: dict[str, Any] = {
-    "rest_resistance_ohm": np.full((3, 2), 1e4),
-    "measured": np.ones((3, 2), bool),
-    "std_ohm": np.ones((3, 2)),
-    "frames": np.asarray(20),
-    "lost": np.asarray(0),
-    "serial_number": np.asarray("A1"),
-    "wall_time": np.asarray(1e9),
-    "remarks": np.asarray([], dtype=np.str_),
-}
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"frames": np.arange(5)},
-        {"frames": np.asarray(np.nan)},
-        {"frames": np.asarray(np.inf)},
-        {"lost": np.asarray(-(10**18))},
-        {"wall_time": np.asarray("abc")},
-        {"wall_time": np.asarray("2020-01-01", dtype="M8[s]")},
-        {"std_ohm": np.ones(3)},
-        {"std_ohm": np.full((3, 2), -1.0)},
-        {"measured": np.ones((2, 2), bool)},
-        {"remarks": np.asarray("x")},
-        {"rest_resistance_ohm": np.full((3, 2), 1 + 1j)},
-        {"rest_resistance_ohm": np.full((3, 2), "1e4")},
-        {"rest_resistance_ohm": np.full((3, 2), 1e308)},
-        {"rest_resistance_ohm": np.full((3, 2), 5e-324)},
-        {"rest_resistance_ohm": np.full((3, 2), np.nan)},
-        {"rest_counts": np.full((3, 2), -1.0)},
-        {"rest_resistance_ohm": np.ones((0, 2)), "measured": np.ones((0, 2), bool), "std_ohm": np.ones((0, 2))},
-    ],
-    ids=lambda change: f"{next(iter(change))}",
-)
-def test_a_senseless_tare_is_refused(change: dict[str, Any], tmp_path: Path) -> None:
-    np.savez(tmp_path / "tare.npz", **GOOD)
-    Tare.load(tmp_path / "tare.npz")
-    np.savez(tmp_path / "tare.npz", **{**GOOD, **change})
-    with pytest.raises(InputError, match=r"tare\.npz: "):
-        Tare.load(tmp_path / "tare.npz")

@@ -281,6 +281,8 @@ def test_a_load_that_shakes_within_a_step_raises_r_as_the_cell_does(load: float,
     c.s[[still, moved]], c.v[moved] = load, speed
     filters.predict(c, t)
     assert c.r[moved] - c.r[still] == pytest.approx(r[0] - r[1], rel=0.02)
+    for by in (t.by_s, t.by_r, t.by_x3, t.by_move):  # half of the way is that of each phase
+        assert by[still] == pytest.approx(0.5 * (by[modes.HOLD_UP] + by[modes.HOLD_DOWN]), rel=1e-12)
 
 
 # -- Bayes' rule --
@@ -299,24 +301,12 @@ def conditioned(
     return *gaussian(c, PLACE), np.log(c.likelihood[PLACE]) - c.distance[PLACE]
 
 
-@given(st.integers(0, 2**32 - 1), st.floats(1e-4, 0.05), st.floats(-0.2, 0.2))
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 5.0), st.floats(1e-4, 0.05), st.floats(-0.2, 0.2))
 @pytest.mark.parametrize("take", [filters.take_exact, filters.take_interval])
-def test_a_narrow_reading_is_a_kalman_update(take: Callable[..., None], seed: int, std: float, off: float) -> None:
-    mean, covariance = drawn(seed)
-    var, at = covariance[1, 1] + std**2, mean[1] + off
-    found, left, density = conditioned(take, mean, covariance, (at, at), std**2)
-    gain = covariance[:, 1] / var
-    np.testing.assert_allclose(found, mean + gain * off, atol=1e-12)
-    np.testing.assert_allclose(left, covariance - np.outer(gain, covariance[1]), atol=1e-12)
-    assert density == pytest.approx(norm.logpdf(off, scale=var**0.5))
-
-
-@given(st.integers(0, 2**32 - 1), st.floats(0.0, 5.0), st.floats(-0.2, 0.2))
-@pytest.mark.parametrize("take", [filters.take_exact, filters.take_interval])
-def test_a_load_that_shakes_is_read_somewhere_in_its_swing(
-    take: Callable[..., None], seed: int, speed: float, off: float
+def test_a_narrow_reading_is_a_kalman_update(
+    take: Callable[..., None], seed: int, speed: float, std: float, off: float
 ) -> None:
-    """Swings of ``swing_s`` times the speed are noise of a reading, at the mean gain of both phases; nobody else's."""
+    """A load that shakes is read somewhere in its swing: ``swing_s`` times its speed is noise, at the mean gain."""
     mean, covariance = drawn(seed)
     mean[2] = speed
     gain = 0.5 * (MATERIAL.gu + MATERIAL.g1)
@@ -325,8 +315,8 @@ def test_a_load_that_shakes_is_read_somewhere_in_its_swing(
     for place, noise in ((modes.SHAKE, swing), (modes.MODES + modes.SHAKE, swing), (modes.LINE_UP, 0.0)):
         written(c, place, mean, covariance)
         c.likelihood[place] = 1.0
-        take(c, at, at, 1e-4, step_of(0.01))
-        var = covariance[1, 1] + 1e-4 + noise
+        take(c, at, at, std**2, step_of(0.01))
+        var = covariance[1, 1] + std**2 + noise
         found, left = gaussian(c, place)
         np.testing.assert_allclose(found, mean + covariance[:, 1] / var * off, atol=1e-12)
         np.testing.assert_allclose(left, covariance - np.outer(covariance[1], covariance[1]) / var, atol=1e-12)
@@ -400,6 +390,26 @@ def test_loads_beyond_a_soft_bound_are_rare(z: float, rare: float) -> None:
     assert 1.0 - less == pytest.approx(max(np.trapezoid((x - expected) ** 2 * density, x) / weight, 0.02), rel=0.01)
 
 
+@given(st.integers(0, 2**32 - 1), st.floats(-3.0, 3.0))
+def test_a_load_beyond_the_heaviest_usual_one_is_rare(seed: int, z: float) -> None:
+    """Its density is cut down there; the others go along by their regression."""
+    t, c, (mean, covariance) = step_of(0.01), zeros(filters.Candidates, 1)[0], drawn(seed)
+    std = covariance[0, 0] ** 0.5
+    mean[0] = t.overload - z * std
+    written(c, modes.LINE_UP, mean, covariance)
+    c.w[modes.LINE_UP] = c.likelihood[modes.LINE_UP] = 1.0
+    filters.bound_overload(c, t)
+    x = np.linspace(-9.0, 9.0, 200_001)
+    density = norm.pdf(x) * np.where(x < z, 1.0, filters.OVERLOADS)
+    density /= np.trapezoid(density, x)
+    shift = np.trapezoid(x * density, x)
+    found, left = gaussian(c, modes.LINE_UP)
+    assert found[0] == pytest.approx(mean[0] + std * shift, abs=3e-3 * std)
+    less = np.trapezoid((x - shift) ** 2 * density, x)
+    assert left[0, 0] == pytest.approx(max(less, 0.02) * std**2, rel=0.01)
+    np.testing.assert_allclose(found - mean, covariance[0] / covariance[0, 0] * (found - mean)[0], atol=1e-9)
+
+
 @given(st.floats(-700.0, 0.0))
 def test_the_exponential_of_candidates_is_one(x: float) -> None:
     assert filters.decay(x) == pytest.approx(np.exp(x), rel=1e-12 if x > -40.0 else 1e-2)
@@ -455,6 +465,24 @@ def test_two_candidates_of_a_mode_are_merged_by_their_moments(seed: int, share: 
     np.testing.assert_allclose(covariance, second - np.outer(mean, mean), atol=1e-12)
     assert e.x3[modes.HOLD_UP] == pytest.approx(0.01 + 0.02 * share)
     assert e.w[modes.HOLD_UP] == pytest.approx(1.0)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([modes.LINE_UP, modes.MOVE_DOWN, modes.CREEP_UP]))
+def test_what_is_expected_of_the_next_reading_is_the_second_moment_of_its_prediction(seed: int, mode: int) -> None:
+    """About the present r, of two modes, in a step so short that only the load's way counts."""
+    t, watch = step_of(1e-4), zeros(filters.Watch, 1)[0]
+    e, c = zeros(filters.Estimates, 1)[0], zeros(filters.Candidates, 1)[0]
+    mean, _ = drawn(seed)
+    mean[2] *= 1e3  # a way that is seen in so short a step
+    for j, w in ((mode, 0.7), (modes.HOLD_UP, 0.3)):
+        for record in (e, c):
+            written(record, j, mean, np.diag([0.0, 1e-4, 2e4]))
+        e.w[j] = w
+    filters.predict(c, t)
+    found, variance = filters.expects(e, watch, t)
+    moments = [c.rr[j] + (c.r[j] - mean[1]) ** 2 for j in (mode, modes.HOLD_UP)]
+    assert found == pytest.approx(mean[1])
+    assert variance == pytest.approx(0.7 * moments[0] + 0.3 * moments[1], rel=0.02)
 
 
 @pytest.mark.parametrize("off", [5.5, 7.0, 9.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,9 @@ from ohmskin.cli import run
 from ohmskin.common.arrays import FloatArray
 from ohmskin.common.geometry import Geometry
 from ohmskin.driver import ContactTracker, Frame, JoinedSkin, Skin
+from ohmskin.driver._consumer import Consumer
 from ohmskin.driver._contacts import Touch
-from ohmskin.driver._joined import SILENT_S, Joiner, joined_geometry
+from ohmskin.driver._joined import SILENT_S, JoinedBoards, JoinedFrames, Joiner, joined_geometry
 from ohmskin.emulator import Board, PtyPort, Scene, load_scenes, running
 from ohmskin.errors import InputError, LinkEnded, LinkError
 from ohmskin.wire import Order, host_protocol
@@ -107,18 +109,40 @@ def test_every_frame_of_a_board_is_in_one_joined_frame_and_none_waits_for_a_sile
         now += pause_s
         given_kpa[which].append(float(number))
         came_s[float(number)] = now
-        for joined in joiner.add(which, frame_at(now, board, float(number))):
-            assert now - joined.monotonic_time <= 0.4 + 1e-9
+        for frame in joiner.add(which, frame_at(now, board, float(number))):
+            assert now - frame.monotonic_time <= 0.4 + 1e-9
+            joined = frame.converted
+            assert joined is not None
             for k in range(3):
                 own = slice(2 * k, 2 * k + 2)
                 if joined.valid[own].all():
                     kpa = float(joined.pressure[own][0, 0])
-                    assert joined.monotonic_time - came_s[kpa] <= SILENT_S
+                    assert frame.monotonic_time - came_s[kpa] <= SILENT_S
                     seen[k] += [] if kpa == seen[k][-1] else [kpa]
                 else:
                     assert (joined.reason[own] == Reason.MISSING).all()
     for k in range(3):
         assert seen[k] in (given_kpa[k], given_kpa[k][:-1])
+
+
+EVENTS = ("overrun", "reconnected", "rebooted", "estimator_restarted")
+
+
+@given(st.sets(st.tuples(st.integers(0, 2), st.sampled_from(EVENTS))))
+def test_what_happened_to_one_board_happened_to_the_joined_skin(happened: set[tuple[int, str]]) -> None:
+    board = Geometry.rectangle((1, 1), 0.01)
+    joiner, plain = Joiner([board] * 3, Touch(20.0)), frame_at(0.0, board)
+    frames = JoinedFrames(joiner, [], "every", 10)
+    reader = Consumer(JoinedBoards([], frames, joiner), after=0)
+    for k in (0, 1, 2, 0):  # from then on a joined frame has one of each
+        frames.arrive(k, plain)
+    assert reader.next_frames(10, 0.0)
+    for k in range(3):
+        told: dict[str, Any] = {name: (k, name) in happened for name in EVENTS}
+        frames.arrive(k, replace(plain, lost_before=k, **told))
+    (joined,) = reader.next_frames(10, 0.0)
+    assert {name for name in EVENTS if getattr(joined, name)} == {name for _, name in happened}
+    assert joined.lost_before == 3
 
 
 def test_boards_without_places_stand_apart_and_boards_at_one_place_are_refused() -> None:
@@ -135,11 +159,21 @@ def test_boards_without_places_stand_apart_and_boards_at_one_place_are_refused()
         joined_geometry([placed, board])
 
 
-def test_a_joined_skin_has_the_methods_of_a_skin() -> None:
-    inherited = {"open", "pitch_m", "pitch_xy_m"}  # which are made of the others
-    public = {name for name, _ in inspect.getmembers(Skin) if name[0] != "_"} | {"__iter__", "__next__", "__aiter__"}
-    own = {name for name in public if name in vars(JoinedSkin)}
-    assert public - own == inherited | {"__iter__"}
+def test_what_a_joined_skin_inherits_asks_no_single_board(tmp_path: Path) -> None:
+    """Neither does it refuse more than what belongs to one board."""
+    refused = {"design", "touch", "pitch_m", "pitch_xy_m", "identity", "description", "recorder"}
+    with Skin.open(played(tmp_path, part(0), part(2, board={"serial_number": "RIGHT"}))) as skin:
+        for name, _ in inspect.getmembers(Skin, lambda one: isinstance(one, property)):
+            if name[0] != "_" and name not in refused:
+                getattr(skin, name)
+        first = skin.read()
+        assert skin.latest(np.inf).monotonic_time >= first.monotonic_time
+        assert 0 < len(skin.read_many(5)) <= 5
+        assert next(iter(skin.frames())).monotonic_time > first.monotonic_time
+        skin.use_tare(None)
+        for call in (lambda: skin.on_bytes(print), lambda: skin.request(Order.STOP), lambda: skin.use_tare("x")):
+            with pytest.raises(InputError, match="ask one of the 2"):
+                call()
 
 
 def test_a_board_that_goes_takes_its_cells_along_only() -> None:

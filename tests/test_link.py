@@ -8,24 +8,22 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
-from itertools import pairwise
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from boards import DESIGN, scene
-from patience import HANG_S, Patience
+from patience import HANG_S
 
-from ohmskin.circuits import Design, adc_codes
+from ohmskin.circuits import adc_codes
 from ohmskin.cli import run
-from ohmskin.driver import Frame, Skin
+from ohmskin.driver import Skin
 from ohmskin.emulator import PtyPort, Scene, TcpPort, running
-from ohmskin.errors import InputError, LinkError, ProtocolError
+from ohmskin.errors import InputError, LinkError
 
 SCENE = """
 [skin]
@@ -65,24 +63,14 @@ def command(*arguments: str | Path) -> Iterator[tuple[subprocess.Popen[str], str
         process.communicate()
 
 
-def collect(port: str, *, tare: bool = False, design: Design | None = None, lossy: bool = False) -> list[Frame]:
-    """All frames until the board's time is over: a regular end, unless the last frame, which says so, is lost."""
-    frames: list[Frame] = []
-    with Skin.open(port, design=design, delivery="lossless", reconnect=0.0) as skin:
-        if tare:
-            skin.tare()
-        with suppress(LinkError) if lossy else nullcontext():
-            frames.extend(skin)
-    return frames
-
-
 @pytest.mark.parametrize("end", ["pty", "tcp"])
 def test_the_frames_are_the_truth_and_the_estimate_is_near_it(scene_file: Path, tmp_path: Path, end: str) -> None:
     """Ten seconds of two contacts at the fast clock: not one frame is lost, and every count is the truth's."""
     truth = tmp_path / "truth.npz"
     where = ["--link", tmp_path / "skin"] if end == "pty" else ["--tcp", ":0"]
     with command(scene_file, *where, "--clock", "fast", "--duration", "10", "--truth", truth) as (process, port):
-        frames = collect(port)
+        with Skin.open(port, delivery="lossless", reconnect=0.0) as skin:
+            frames = list(skin)
         assert process.wait(60) == 0
     assert not (tmp_path / "skin").is_symlink()
 
@@ -102,42 +90,6 @@ def test_the_frames_are_the_truth_and_the_estimate_is_near_it(scene_file: Path, 
     quiet = estimated[:, arrays["pressure_kpa"].max(axis=0) < 0.01]
     assert pressed.sum() >= 3
     assert np.abs(quiet).max() < 0.1
-
-
-def test_a_lossy_and_noisy_line_is_counted_end_to_end(tmp_path: Path) -> None:
-    faults = [
-        {"kind": "dropped-packets", "probability": 0.05, "at_s": 1.0},
-        {"kind": "flipped-bits", "probability": 2e-4, "at_s": 1.0},
-    ]
-    what = scene(link_fault=faults)
-    port, truth = PtyPort(), tmp_path / "truth.npz"
-    with running(what, port, clock="fast", duration_s=10.0, truth=truth):
-        frames = collect(port.name, lossy=True)
-    lost = sum(frame.lost_before for frame in frames)
-    assert 10 < lost < 70
-    first = frames[0].sequence - frames[0].lost_before
-    assert lost + len(frames) == frames[-1].sequence - first + 1
-    with np.load(truth) as arrays:
-        assert len(arrays["sequence"]) == 500
-        codes = adc_codes(what.skin.design, arrays["volts"])
-    for frame in frames:
-        np.testing.assert_array_equal(frame.counts, codes[frame.sequence])
-
-
-def test_a_slow_host_gets_the_frame_of_now_and_nothing_is_lost() -> None:
-    """A thread drains the port meanwhile: what the host was too slow for is skipped, not lost, and not late."""
-    port, patience = PtyPort(), Patience()
-    with running(scene(board={"frame_rate": 200.0}), port), Skin.open(port.name) as skin:
-        frames = [next(skin)]
-        for _ in range(3):
-            enough = skin.stats().frames + 30
-            while skin.stats().frames <= enough:
-                patience.spend("frames that nobody takes")
-            frames.append(next(skin))
-    for before, after in pairwise(frames):
-        assert after.sequence - before.sequence == 1 + after.skipped_before
-        assert after.skipped_before > 10
-        assert (after.lost_before, after.overrun) == (0, False)
 
 
 def test_what_a_host_that_does_not_read_loses_is_counted(tmp_path: Path) -> None:
@@ -170,14 +122,6 @@ def test_a_host_that_only_listens_is_served_at_the_fast_clock_too() -> None:
                 got += os.read(fd, 4096)
         finally:
             os.close(fd)
-
-
-def test_a_second_driver_finds_a_pty_in_use() -> None:
-    port = PtyPort()
-    with running(scene(), port), Skin.open(port.name) as skin:
-        with pytest.raises(LinkError, match=f"{port.name}: in use by another program"):
-            Skin.open(port.name)
-        assert next(skin).sequence >= 0
 
 
 def test_a_second_driver_is_turned_away_from_tcp() -> None:
@@ -215,35 +159,6 @@ def test_a_signal_ends_the_run_with_the_truth_written(
     assert [line for line in errors.splitlines() if "too slow for the scene" not in line] == []
     assert np.load(truth)["sequence"][seen[-1]] == seen[-1]
     assert sorted(file.name for file in tmp_path.iterdir()) == ["scene.toml", "truth.npz"]
-
-
-@contextmanager
-def chatter(data: bytes) -> Iterator[str]:
-    """A serial device that is no board: it says ``data`` again and again."""
-    port, stop = PtyPort(), threading.Event()
-
-    def talk() -> None:
-        while not stop.wait(0.005):
-            if port.host_present() and data:
-                port.write(data)
-
-    thread = threading.Thread(target=talk)
-    thread.start()
-    try:
-        yield port.name
-    finally:
-        stop.set()
-        thread.join()
-        port.close()
-
-
-def test_a_port_that_sends_noise_is_named_within_the_timeout() -> None:
-    noise = np.random.default_rng(2).bytes(400)
-    with (
-        chatter(noise) as name,
-        pytest.raises(ProtocolError, match=f"{name}: no description within 2 s: .* bytes came"),
-    ):
-        Skin.open(name, timeout=2.0)
 
 
 def free_tcp_port() -> int:

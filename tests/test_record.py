@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 import tracemalloc
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -119,16 +120,38 @@ def test_reconnection_losses_and_noise_are_replayed(tmp_path: Path) -> None:
     assert (after.reconnects, after.reboots, after.lost, after.corrupt) == (1, 1, 6, 1)
 
 
+def calibrated() -> Calibration:
+    """Of the cells of the scene's board."""
+    skin = scene().skin
+    ones = np.ones((3, 2))
+    rest = np.linspace(0.9, 1.1, 6).reshape(3, 2) * skin.cell.rest_resistance_ohm
+    return Calibration(
+        rest_ohm=rest,
+        gain=np.linspace(0.7, 1.5, 6).reshape(3, 2),
+        gain_std=0.02 * ones,
+        rest_std_kpa=0.1 * ones,
+        residual_kpa=0.1 * ones,
+        calibrated=ones > 0,
+        loads_kpa=(5.0, 12.0),
+        presses=12,
+        serial_number="EMULATED",
+        date="2026-01-02T03:04:05+00:00",
+        design_hash=fingerprint(skin.design),
+        cell_hash=fingerprint(skin.cell),
+    )
+
+
 def test_what_was_given_at_opening_is_given_again(tmp_path: Path) -> None:
     pitch = (0.0031, 0.007)
     path = tmp_path / "given.mcap"
     what = scene().skin
     other = what.design.replace(array={"row_lead": 0.0})
-    options = {"design": other, "cell": what.cell, "estimator": "static", "pitch": pitch}
+    known = replace(calibrated(), design_hash=fingerprint(other), serial_number="A1")
+    options = {"design": other, "cell": what.cell, "estimator": "static", "pitch": pitch, "calibration": known}
     with Skin(Script(*pieces(range(9), last=True)), delivery="lossless", record=path, **options) as skin:  # type: ignore[arg-type]
         live = list(skin)
     with Skin.open(str(path)) as skin:
-        assert (skin.design, skin.cell) == (other, what.cell)
+        assert (skin.design, skin.cell, skin.calibration and skin.calibration.hash) == (other, what.cell, known.hash)
         again = list(skin)
         assert skin.pitch_xy_m == pitch
     assert all(map(same, live, again))
@@ -493,23 +516,7 @@ def test_frames_become_a_dataset_with_units(tmp_path: Path) -> None:
 
 def test_the_command_records_with_a_calibration_and_a_tare(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """The recording holds both, so that its replay needs neither file."""
-    skin = scene().skin
-    ones = np.ones((3, 2))
-    rest = np.linspace(0.9, 1.1, 6).reshape(3, 2) * skin.cell.rest_resistance_ohm
-    made = Calibration(
-        rest_ohm=rest,
-        gain=np.linspace(0.7, 1.5, 6).reshape(3, 2),
-        gain_std=0.02 * ones,
-        rest_std_kpa=0.1 * ones,
-        residual_kpa=0.1 * ones,
-        calibrated=ones > 0,
-        loads_kpa=(5.0, 12.0),
-        presses=12,
-        serial_number="EMULATED",
-        date="2026-01-02T03:04:05+00:00",
-        design_hash=fingerprint(skin.design),
-        cell_hash=fingerprint(skin.cell),
-    )
+    made = calibrated()
     calibration, tare, path = tmp_path / "left.toml", tmp_path / "rest.npz", tmp_path / "press.mcap"
     made.save(calibration)
     words = ["-o", str(path), "--calibration", str(calibration), "--tare", str(tare), "--json"]

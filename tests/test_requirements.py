@@ -144,6 +144,18 @@ def test_a_divider_whose_cells_cannot_be_told_apart_says_so(tmp_path: Path) -> N
     assert "not valid, all cells" in result.why
 
 
+def test_cells_that_pressed_ones_beside_them_hide_are_told() -> None:
+    """All are valid where all are alike; of a chequered press those at rest are not."""
+    array, cells = {"rows": 4, "columns": 4, "row_lead": 50.0, "column_lead": 50.0}, {"rest_resistance": 1e4}
+    tables = {"array": array, "drive": {"voltage": 3.3, "idle_rows": "float"}, "adc": {"bits": 8, "range": (0.0, 3.3)}}
+    tables |= {"readout": {"circuit": "voltage-divider", "reference_resistance": 1e3}}
+    design = Design.model_validate(tables | {"cells": cells | {"full_scale_resistance": 1e3}})
+    (result,) = verify(design, requirements=_asked("valid_cells", max=None, min=100.0)).results
+    assert result.measurement is not None
+    assert result.measurement.value == 50.0
+    assert "every second one pressed: (0, 0), (0, 2), (1, 1), (1, 3)" in result.measurement.where
+
+
 def test_what_the_design_does_not_name_is_not_run_and_named(tmp_path: Path) -> None:
     text = "\n".join(
         line

@@ -231,7 +231,7 @@ def test_without_an_adc_there_are_no_codes() -> None:
         adc_codes(amplifier(1, 1), np.zeros((1, 1)))
 
 
-# Many boards of one design: the block elimination against a loop over the scan of each board
+# Many boards of one design: a stack against a loop over the scan of each board
 
 
 COUNT = 5
@@ -241,9 +241,10 @@ def _boards(seed: int, **readout: Any) -> tuple[Design, Boards, FloatArray]:
     """A design at random, some of whose lines are ideal; boards whose every part differs by up to 30 %; their cells."""
     random = np.random.default_rng([seed, 3])
     circuit = CIRCUITS[seed % len(CIRCUITS)]
-    design, _ = real_design(seed, circuit=circuit, smallest=1, largest=5, idle_lines=True, **readout)
+    design, _ = real_design(seed, circuit=circuit, smallest=2, largest=5, idle_lines=True, faults=seed % 2, **readout)
     lines = ("row_lead", "row_segment", "column_lead", "column_segment")
-    design = design.replace(array={name: 0.0 for name in lines if random.random() < 0.3})
+    faults = [fault.replace(resistance=20.0) for fault in design.fault]
+    design = design.replace(array={name: 0.0 for name in lines if random.random() < 0.3}, fault=faults)
     nominal = Boards.of(design)
     values = {name: getattr(nominal, name) for name in Boards.names()}
     drawn = {name: value * random.uniform(0.7, 1.3, (COUNT, value.shape[1])) for name, value in values.items()}

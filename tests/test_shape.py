@@ -221,7 +221,7 @@ def test_a_hole_never_shows_a_pressure_and_is_no_fault() -> None:
         ({"row": [0, 0, 1, 2, 3]}, r"cell \(3, 1\) lies outside the array of 3 x 2"),
         ({"row": [0, 0, 1, 2, 2.5]}, "integer"),
         ({"x_mm": [0, 9, 9, 1]}, "x_mm has 4 entries; expected 5"),
-        ({"column": [0, 0, 1, 0, 1]}, r"cell \(0, 0\) is there twice"),
+        ({"row": [1, 0, 1, 2, 0], "column": [0, 0, 1, 0, 0]}, r"cell \(0, 0\) is there twice"),
         ({"y_mm": [0, 0, 0, 18, 17]}, "are at one place"),
         ({"area_mm2": [1, 1, 1, 1, 0]}, "area_mm2"),
         ({"file": "shape.csv"}, "'file' has all columns"),

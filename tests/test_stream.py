@@ -122,29 +122,13 @@ def test_the_end_of_a_board_whose_numbers_no_time_explains_is_no_loss() -> None:
     assert line.counters.lost == 0
 
 
-@pytest.mark.parametrize("jump_s", [0.5, 30.0])
-def test_a_clock_that_is_set_forward_is_no_time_that_passes(jump_s: float) -> None:
-    """A jump counts as one if the host's clock does not go along, and if it is more than a second."""
-    line = Line()
-    for k in range(20):
-        line.host_s += 0.01
-        before = line.bring(packet(k, 1_000_000 + k * PERIOD_US))
-    line.host_s += 0.01
-    found = line.bring(packet(20, 1_000_000 + 20 * PERIOD_US + round(1e6 * jump_s)))
-    assert before is not None
-    assert found is not None
-    is_set = jump_s > 1.0
-    assert line.counters.clock_steps == is_set
-    passed = 0.01 if is_set else 0.01 + jump_s
-    assert found.time_s - before.time_s == pytest.approx(passed, abs=0.011)
-
-
 @pytest.mark.parametrize(
     ("lost", "passed_s", "host_s", "is_set"),
     [
         (50, 0.51, 0.51, False),  # as usual
         (10, 5.0, 0.01, False),  # a slower rate, whose bytes have waited
         (0, 1.5, 1.0, False),  # a pause
+        (0, 0.51, 0.01, False),  # less than a second may be a buffer
         (0, 1.5, 0.01, True),
     ],
 )

@@ -7,10 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from ohmskin.circuits import Design, Requirement
 from ohmskin.verification import CATALOGUE, Result, verify
+from ohmskin.verification._units import engineering
 from ohmskin.wire import FramePacket, encode
 
 UNITS = {
@@ -94,6 +97,19 @@ def numbers(result: Result, by: dict[str, float]) -> dict[str, Any]:
         for name, value in values.items()
         if value is not None
     }
+
+
+@given(st.floats(1e-14, 1e14), st.sampled_from(["V", "ohm", "s", "W", "%", "kPa"]))
+def test_a_number_with_a_prefix_reads_back(value: float, unit: str) -> None:
+    """To four digits; and with a minus sign for its negative, which an infinity has, too."""
+    number, _, word = engineering(value, unit).partition(" ")
+    shown = word.removesuffix("Ω" if unit == "ohm" else unit)
+    exponents = dict(zip("fpnµmkMGT", (*range(-15, 0, 3), 3, 6, 9, 12), strict=True))
+    if unit not in ("%", "kPa"):
+        assert float(number) * 10.0 ** exponents.get(shown, 0) == pytest.approx(value, rel=1e-3)
+    for each in (value, np.inf):
+        if unit not in ("%", "kPa") or value > 1e-8:
+            assert engineering(-each, unit) == f"−{engineering(each, unit)}"
 
 
 OLD = times(1.0, 1.0, 1.0, 1.0)

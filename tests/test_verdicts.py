@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from designs import amplifier
 
 from ohmskin.circuits import Design, Requirement, scan
 from ohmskin.errors import MissingExtra
-from ohmskin.verification import Outcome, default_requirements, verify
+from ohmskin.verification import DesignUnderTest, Outcome, default_requirements, verify
 from ohmskin.verification._outcome import Measurement
+from ohmskin.verification._pressures import _sampled
 
 
 def _design(array: dict[str, Any], readout: dict[str, Any], ohms: tuple[float, float], **sections: Any) -> Design:
@@ -240,3 +242,13 @@ def test_readings_are_judged_by_the_law_of_their_own_crosspoint(ends: dict[str, 
         cells = np.array(pressed)[:, None]
         worst = max(worst, float(np.abs(scan(design, cells).resistance / cells - 1.0).max()))
     assert _found(design, "reading_error", method="nominal").value == pytest.approx(100 * worst, abs=0.3)
+
+
+@pytest.mark.parametrize(("circuit", "axis"), [("inverting-amplifier", 0), ("row-amplifier", 1)])
+def test_a_reading_that_has_not_settled_is_on_its_way_from_that_of_the_line_before(circuit: str, axis: int) -> None:
+    design = amplifier(3, 3, lead=20.0, supply=(-5.0, 5.0)).with_circuit(circuit)
+    dut = DesignUnderTest(design.replace(cells={"rest_resistance": 1e4, "full_scale_resistance": 2e3}))
+    cells, random = 10 ** np.random.default_rng(0).uniform(3.5, 4.0, (1, 3, 3)), np.random.default_rng(1)
+    parts = np.zeros(len(dut.factors))
+    settled, half = (_sampled(dut, dut.factors, parts, cells, share, random)[0][0] for share in (0.0, 0.5))
+    np.testing.assert_allclose(half, (settled + np.roll(settled, 1, axis)) / 2.0, rtol=1e-12)

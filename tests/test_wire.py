@@ -216,13 +216,6 @@ def test_the_document_shows_no_other_packets() -> None:
     assert PacketDecoder().feed(shown) == list(LITERAL.values())
 
 
-def test_counts_are_a_read_only_array_of_their_shape() -> None:
-    counts = np.arange(6, dtype=np.uint16).reshape(2, 3)
-    packet = FramePacket.of(counts, sequence=0, time_us=0)
-    np.testing.assert_array_equal(packet.counts, counts)
-    assert not packet.counts.flags.writeable
-
-
 @settings(max_examples=50)
 @given(packets)
 def test_an_independent_encoder_agrees(packet: Packet) -> None:

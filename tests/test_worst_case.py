@@ -29,7 +29,13 @@ from worst_boards import (
 from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import Design, Requirement, scan
 from ohmskin.verification import Report, verify
+from ohmskin.verification._box import Corners
+from ohmskin.verification._dut import DesignUnderTest
+from ohmskin.verification._judging import worst_of
 from ohmskin.verification._outcome import Measurement
+from ohmskin.verification._readings import ReadingErrorTarget
+from ohmskin.verification._search import _Search
+from ohmskin.verification.quantities.reading_errors import Crosstalk, GainError, ReadingError
 
 QUICK = (3, 5, 6, 11, 12, 22, 156, 285, 291)
 """seeds of small boards of all circuits, some of whose readings come near the reference or leave a range; of the last
@@ -151,6 +157,31 @@ def test_no_corner_of_a_small_box_is_worse(circuit: str, idle_rows: str) -> None
             found = values(design, drawn, np.broadcast_to(pattern, own.shape), own)
             worst = {name: max(worst[name], float(found[name].max())) for name in worst}
     assert says == pytest.approx(worst, rel=1e-8)
+
+
+@pytest.mark.parametrize("target", [Crosstalk(), ReadingError(), GainError()], ids=lambda target: target.name)
+def test_the_derivatives_of_an_error_are_the_differences_of_its_values(target: ReadingErrorTarget) -> None:
+    """By parts, presses and deviations of cells, at a point within the box; of both signs."""
+    box, random = worst_of(DesignUnderTest(SMALL.replace(adc=None)), target).box, np.random.default_rng(2)
+    moves = 1e-3 * np.concatenate([np.eye(box.size), -np.eye(box.size)])
+    for sign in (1.0, -1.0):
+        point = Corners(np.array([0]), np.array([1]), np.array([sign]), random.uniform(-0.8, 0.8, (1, box.size)))
+        ends = target.evaluate(box, point.at((point.x + moves)[None])).reshape(2, -1)
+        found, expected = target.gradient(box, point), (ends[0] - ends[1]) / 2e-3
+        assert found is not None
+        np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
+
+
+def test_a_move_of_a_line_takes_its_presses_to_one_end() -> None:
+    box, random = worst_of(DesignUnderTest(SMALL), ReadingError()).box, np.random.default_rng(1)
+    search, start = _Search(ReadingError(), box), random.choice([-1.0, 1.0], (1, box.size))
+    for number, line in enumerate(box.lines()):
+        for end, move in ((1.0, box.size + 2 * number), (-1.0, box.size + 2 * number + 1)):
+            moved = search._after(start, np.array([move]), start)[0]
+            np.testing.assert_array_equal(moved, np.where(line, end, start[0]))
+    for move in range(box.size):
+        moved = search._after(start, np.array([move]), start)[0]
+        np.testing.assert_array_equal(moved, np.where(np.arange(box.size) == move, -start[0], start[0]))
 
 
 CASES = {

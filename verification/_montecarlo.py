@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from math import inf
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 from ..common.arrays import FloatArray, IntArray
 from ._box import Box, Corners
@@ -127,10 +127,8 @@ def proportion_bounds(kept: int, count: int) -> tuple[float, float]:
     """Two-sided Clopper-Pearson bounds of a proportion (Biometrika 26, 1934): exact, for any count."""
     if count < 1:
         return 0.0, 1.0
-    tail = (1.0 - CONFIDENCE) / 2.0
-    low = 0.0 if kept == 0 else float(beta.ppf(tail, kept, count - kept + 1))
-    high = 1.0 if kept == count else float(beta.ppf(1.0 - tail, kept + 1, count - kept))
-    return low, high
+    interval = binomtest(kept, count).proportion_ci(CONFIDENCE, "exact")
+    return float(interval.low), float(interval.high)
 
 
 def boards_needed(wanted: float, share: float) -> int | None:

@@ -319,7 +319,9 @@ def _slopes(
             press += by_cell * (high - low) * width * deviating
             scale += by_cell * ohms / deviating * box.cell_spread
             nudged = signed(number, true=1 + 1e-6) - signed(number, true=1 - 1e-6)
-            scale[each, row, column] += np.nan_to_num(nudged / 2e-6) * box.cell_spread
+            own, by_true = (each, row, column), np.nan_to_num(nudged / 2e-6)
+            press[own] += by_true * ((high - low) * width * deviating / ohms)[own]
+            scale[own] += by_true * (box.cell_spread / deviating)[own]
         flat = [part.reshape(len(row), -1) for part in (factors, press, scale)]
         return signed(0), np.concatenate(flat, axis=1)
 

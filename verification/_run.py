@@ -143,7 +143,7 @@ def verify(
             permission such a requirement is not run.
         require_all: what could not be run counts as failed.
         command: what the report says makes it again.
-        progress: called after each task that is done.
+        progress: called at the start, and after each task that is done.
         announce: called at the start with a line about each file of the design's own that is run.
         tell: called with each result as soon as it is there.
 
@@ -253,6 +253,7 @@ def _compute(
 
     interruption = None
     try:
+        progress(0, total, next((task.what for task in (*requirements, *claims)), ""))
         run(task for task in (*requirements, *claims) if task not in drawn)
         run(boards)
         for task in drawn:

@@ -11,10 +11,10 @@ import numpy as np
 
 from ...common.arrays import FloatArray
 from ...common.tables import LINE, Table
-from ...common.units import Quantity, Unit, header_unit, unit_named
 from ...errors import InputError
 from ._recording import COLUMNS, Recording, checked_recording, unrepeated
 from ._remarks import clock_shift_s
+from ._units import Quantity, Unit, header_unit, unit_named
 
 Role = Literal["time", "load", "reading", "cell"]
 QUANTITIES: dict[Role, tuple[Quantity, ...]] = {

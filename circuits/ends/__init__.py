@@ -13,7 +13,7 @@
 from ._cards import DIODES, GROUND, OPAMP, Card, Statement, parse_cards, statements
 from ._equations import CELL, LINE, OUT, ROW, Equations, PortLaw, float_of, port_law
 from ._line_ends import OPEN_OHM, REF, Columns, LineEnds, Network, Rows, amplifier, is_bent
-from ._nodal import MOST_SIEMENS, Solution, System, alone, inverted_nodes, solve, step_system
+from ._nodal import Solution, System, alone, inverted_nodes, solve, step_system
 from ._sections import ColumnEnd, Crosspoint, Event, Reference, RowEnd, Scan
 from ._spice import join, spice_cards
 
@@ -22,7 +22,6 @@ __all__ = [
     "DIODES",
     "GROUND",
     "LINE",
-    "MOST_SIEMENS",
     "OPAMP",
     "OPEN_OHM",
     "OUT",

@@ -25,6 +25,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import inf, isfinite
 from pathlib import Path
 from typing import NamedTuple
@@ -143,6 +144,11 @@ def parse_cards(lines: Iterable[str]) -> tuple[Card, ...]:
         InputError: a line that is no such card, two cards of one name, or too many.
 
     """
+    return _of_list(tuple(lines))
+
+
+@lru_cache(maxsize=256)
+def _of_list(lines: tuple[str, ...]) -> tuple[Card, ...]:
     return _parsed(enumerate(lines), lambda index: f"card {index}", {})
 
 

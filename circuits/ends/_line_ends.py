@@ -18,13 +18,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
+from .._tuning import HELD
+from ..solvers import IDEAL_WIRE
 from ._cards import GROUND, OPAMP, Card
 from ._equations import LINE, OUT, PortLaw, float_of, port_law
 
-_HELD = 1e-3  # of an output's slope (V/A), up to which the resistance of an end is that of a virtual ground
 REF = "ref"
 """the node of the reference voltage"""
-OPEN_OHM = 1e40
+OPEN_OHM = IDEAL_WIRE
 """stands for an end that takes no current: solvers of positive arithmetic lose no digits by it"""
 Network = tuple[Card, ...]
 
@@ -166,7 +167,7 @@ class LineEnds:
         ends = [_law(self._smooth(end), "column_end", self.out) for end in self.read]
         if all(law.resistance is None for law in ends):
             return "nothing loads the columns, so that readings tell ratios of a column's cells only; expected a load"
-        if all(law.resistance is not None and abs(law.resistance) < _HELD * abs(law.slope) for law in ends):
+        if all(law.resistance is not None and abs(law.resistance) < HELD * abs(law.slope) for law in ends):
             return ""  # amplifiers hold the columns, and each reading is a current
         for i, pair in enumerate(zip(self.selected, self.idle, strict=True)):
             on, off = (_law(self._smooth(network), "row_end").resistance for network in pair)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache
 from math import inf, isinf, sqrt
 from typing import NamedTuple
@@ -22,6 +23,7 @@ import numpy as np
 from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...common.constants import BOLTZMANN, ELEMENTARY_CHARGE
 from ...errors import SolverError
+from .._tuning import CONVERGED, LEAK, LOOSE, MOST_SIEMENS, MOST_STEPS, MOST_VOLTS, ROUNDS, STANDING, STANDS
 from ..solvers import ULP
 from ._cards import GROUND, Card
 from ._equations import CELL, LINE, ROW, Equations
@@ -31,14 +33,6 @@ THERMAL_V = BOLTZMANN * 300.15 / ELEMENTARY_CHARGE
 """kT/q at SPICE's usual temperature, 27 degrees Celsius"""
 _CROSSPOINT = "x"
 """first letter of the ends that are at cells"""
-_LEAK = 1e-20  # of the largest conductance, from each node to ground: sets nodes that nothing else holds
-_LOOSE = 1e-13  # of the largest conductance: the same for islands of nodes that nothing else holds
-MOST_SIEMENS = 1e8  # stands for ideal wires and shorts within the port network
-_MOST_VOLTS = 1e10  # or A: only contradictions give so much
-_MOST_STEPS = 400
-_ONE_AT_A_TIME = 100  # steps after which the limits of amplifiers change one at a time, which cannot cycle
-_CONVERGED = 1e-11  # V, and relative; the bound includes what is left
-_STANDS, _ROUNDING = 0.5, 1e4  # steps that do not halve any more, up to so many times this, are rounding
 
 
 class _Template(NamedTuple):
@@ -156,7 +150,7 @@ def step_system(
     static, source = np.zeros((count, count)), np.zeros(count)
     every = np.arange(rows + columns)
     static[np.ix_(every, every)] = -ports
-    static[every, every] += ports.sum(axis=1) + _LEAK * max(float(ports.max(initial=0.0)), 1e-12)
+    static[every, every] += ports.sum(axis=1) + LEAK * max(float(ports.max(initial=0.0)), 1e-12)
     through = np.where(np.isinf(lead[behind]), 0.0, 1.0 / lead[behind])
     _join(static, rows + behind, at_end[behind], through)
     if crosspoints:
@@ -219,7 +213,7 @@ def solve(system: System, start: FloatArray | None = None) -> Solution:
         junction = np.minimum(padded[anode] - padded[cathode], critical)
     state = [0] * len(system.limits)
     gmin, before = 1e-12, inf
-    for attempt in range(_MOST_STEPS):
+    for attempt in range(MOST_STEPS):
         static, source = system.static.copy(), system.source.copy()
         for (equation, output, low, high), side in zip(system.limits, state, strict=True):
             if side:
@@ -239,21 +233,21 @@ def solve(system: System, start: FloatArray | None = None) -> Solution:
         moved = float(np.abs(wanted - junction).max(initial=0.0))
         junction = wanted
         sides = _sides(system, unknowns, state)
-        if attempt >= _ONE_AT_A_TIME and sides != state:
+        if attempt >= ROUNDS and sides != state:
             first = next(place for place, side in enumerate(sides) if side != state[place])
             sides = [
                 side if place == first else old for place, (side, old) in enumerate(zip(sides, state, strict=True))
             ]
-        near = _CONVERGED * (1.0 + float(np.abs(junction).max(initial=0.0)))
-        if sides == state and (moved <= near or _STANDS * before <= moved <= _ROUNDING * near):
+        near = CONVERGED * (1.0 + float(np.abs(junction).max(initial=0.0)))
+        if sides == state and (moved <= near or STANDS * before <= moved <= STANDING * near):
             break
         state, before = sides, moved
     else:
-        raise SolverError(f"no operating point of the ends' diodes or limits was found in {_MOST_STEPS} steps")
+        raise SolverError(f"no operating point of the ends' diodes or limits was found in {MOST_STEPS} steps")
     magnitude = np.abs(static) @ np.abs(unknowns) + np.abs(source)
     residual = np.abs(source - static @ unknowns) + (size + 3) * ULP * magnitude
     error = 2.0 * (np.abs(inverse) @ residual) + 2.0 * moved + ULP * np.abs(unknowns)
-    if np.abs(unknowns).max(initial=0.0) > _MOST_VOLTS:
+    if np.abs(unknowns).max(initial=0.0) > MOST_VOLTS:
         raise SolverError(
             "ideal sources at the ends of the lines contradict each other; expected resistances between them"
         )
@@ -268,7 +262,7 @@ def inverted_nodes(static: FloatArray) -> tuple[FloatArray, FloatArray]:
         SolverError: no leak determines the potentials: ideal sources and amplifiers contradict each other.
 
     """
-    for leak in (0.0, _LOOSE):
+    for leak in (0.0, LOOSE):
         equations = static + leak * float(np.abs(static).max()) * np.eye(len(static)) if leak else static
         with suppress(np.linalg.LinAlgError):
             return equations, np.linalg.inv(equations).astype(np.float64, copy=False)
@@ -318,16 +312,10 @@ def _sides(system: System, unknowns: FloatArray, state: list[int]) -> list[int]:
 
 def alone(ends: LineEnds, row: int, column: int, conductance: FloatArray) -> FloatArray:
     """V of the output with one cell alone between a selected row and a read column, for each conductance in S."""
-    one = LineEnds(
-        selected=(ends.selected[row],),
-        idle=(ends.idle[row],),
-        read=(ends.read[column],),
-        unread=(ends.unread[column],),
-        shared_by=1,
-        reference=ends.reference,
-        level=ends.level,
-        crosspoint=ends.crosspoint,
-    )
+    row_end, column_end = slice(row, row + 1), slice(column, column + 1)
+    own = {name: getattr(ends, name)[row_end] for name in ("selected", "idle")}
+    own |= {name: getattr(ends, name)[column_end] for name in ("read", "unread")}
+    one = replace(ends, shared_by=1, **own)
     found, start, read = [], None, np.array([True])
     for siemens in conductance:
         network = np.array([[0.0, siemens], [siemens, 0.0]])

@@ -16,6 +16,7 @@ import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
 from .._parts import Parts
+from .._tuning import ROUNDING
 from ._adjoint import SensitivityGroup
 from ._ends import Ends
 from ._linear import LinearReadout
@@ -32,10 +33,8 @@ class Reading(NamedTuple):
     saturated: BoolArray
     """(..., N, M) outputs that stand at a supply limit"""
     magnitude: FloatArray
-    """(..., N, M) V: sum of the magnitudes of those terms of an output that are proportional to port conductances;
-    terms that do not depend on the grid are left out"""
-    cancelled: FloatArray
-    """(..., N, M) V: the same sum over the terms with a difference a - b of sources, with abs(a) + abs(b) instead"""
+    """(..., N, M) V: sum of the magnitudes of those terms of an output that are proportional to port conductances, of a
+    difference of sources both; terms that do not depend on the grid are left out"""
     relative: float = 0.0
     """bound on the relative rounding error of the conductances after all eliminations"""
     error: FloatArray | float = 0.0
@@ -55,8 +54,6 @@ class ReadoutCircuit(ABC):
     """whether amplifiers hold all columns at the reference at once, and each output measures its column's current"""
     mixes_cells: ClassVar[bool] = False
     """whether other cells change a reading even if all parts are ideal"""
-    in_populations: ClassVar[bool] = False
-    """whether :mod:`.._population` can read many boards with this circuit at once; else each board is scanned alone"""
     drives_idle_lines: ClassVar[bool] = False
     """whether an amplifier drives the idle lines, so that ``drive.idle_rows`` does not count"""
     behind_the_load: ClassVar[str] = ""
@@ -122,11 +119,10 @@ class ReadoutCircuit(ABC):
             wire: (M,) ohm along each column up to its end.
 
         Returns:
-            None where all cells take part in every reading, as in dividers with floating rows.
+            None where rows float and nothing holds the columns: all cells then take part in every reading.
 
         """
-        ends = self.ends(board)
-        return None if ends is None else PortLaw.of_ends(ends, wire, board.drive, floating=board.floating)
+        return None
 
     def ambiguity(self, board: Parts) -> str:
         """Why readings of such a board do not determine its cells; empty: nothing is known against it."""
@@ -143,7 +139,7 @@ class ReadoutCircuit(ABC):
 
     def columns_one_by_one(self, board: Parts) -> bool:
         """Whether each column is measured on its own, because idle columns end in something else than the read one."""
-        return False
+        return board.shared_by > 1
 
     def ideal_inputs(self, board: Parts) -> BoolArray:
         """(M,) column ends that the circuit holds like an ideal voltage source."""
@@ -190,15 +186,15 @@ class ReadoutCircuit(ABC):
         return volts
 
     def delivered(self, board: Parts, group: SensitivityGroup, row_current: FloatArray) -> FloatArray:
-        """A (readings' rows, readings' columns) that the output of each reading's amplifier delivers into the array.
+        """A (..., rows, columns) of the readings, that the output of each one's amplifier delivers into the array.
 
         Args:
             board: parts of the readout.
             group: readings, with their forward fields.
-            row_current: (rows, columns or 1, N) A out of each driver in these fields.
+            row_current: (..., rows, columns or 1, N) A out of each driver in these fields.
 
         """
-        return np.zeros((len(group.rows), len(group.columns)))
+        return np.zeros((*row_current.shape[:-3], len(group.rows), len(group.columns)))
 
     # One cell alone, with ideal parts
 
@@ -280,10 +276,11 @@ class Alone(NamedTuple):
     """V above the reference without current"""
 
     def left(self, ratio: FloatArray) -> FloatArray:
-        """Share of the drive that is left across the cell, for a signal over ``gain`` (S); it is never nothing."""
+        """Share of the drive that is left across the cell, for a signal over ``gain`` (S); it is never nothing,
+        as a divider cannot tell such cells from shorts."""
         if not np.any(self.span):
             return np.ones_like(ratio)
-        left: FloatArray = 1.0 - np.minimum(ratio * self.span, _FULL_RATIO)
+        left: FloatArray = 1.0 - np.minimum(ratio * self.span, 1.0 - ROUNDING)
         return left
 
 
@@ -294,9 +291,6 @@ class Contradiction(NamedTuple):
     """names of the sources"""
     remedy: str
     """the key of the design that can separate them"""
-
-
-_FULL_RATIO = 1 - 1e-9  # of signal to drive; beyond this ratio a divider cannot distinguish the cell from a short
 
 
 def _same_island(islands: IntArray) -> tuple[int, int] | None:

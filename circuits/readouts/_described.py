@@ -15,18 +15,13 @@ import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
 from .._parts import Parts
+from .._tuning import CURVE, CURVE_POINTS, PROBES_S
 from ..ends import OPEN_OHM, Columns, LineEnds, alone
 from ._adjoint import SensitivityGroup
 from ._circuit import Alone, Reading, ReadoutCircuit
 from ._ends import EndParts, Ends
-from ._linear import LinearReadout
 from ._nodal import node_groups, read_nodes
-from ._port_law import PortLaw
 from ._terminated import SignArray, Terminated
-
-_MOST_ATTENUATED_OHM = 1e9  # of a column's end, up to which line attenuation is of use
-_CURVE, _CURVE_POINTS = (-10.0, 2.0), 241  # logarithms of a cell's conductance in S, where diodes bend its output
-_PROBES_S = 1e-6, 1e-4  # conductances of a cell, from which its output without others follows
 
 
 class Networks(ReadoutCircuit):
@@ -70,16 +65,6 @@ class Described(Networks, Terminated):
         sources = np.maximum(np.abs(ends.source), np.abs(ends.idle_source))
         return super().energy_bound(replace(board, reference=np.abs(ends.slope), offset=sources), ports, relative)
 
-    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
-        return None if board.floating else PortLaw.of_ends(self.read_ends(board), wire, board.drive, floating=False)
-
-    def linear(self, board: Parts) -> LinearReadout | None:
-        return None if _equivalents(board).resistance.max() > _MOST_ATTENUATED_OHM else super().linear(board)
-
-    def ideal_inputs(self, board: Parts) -> BoolArray:
-        held: BoolArray = (self.end_resistance(board) + board.column_lead) == 0
-        return held
-
     def alone(self, board: Parts) -> Alone:
         # The row's end by itself: driver, lead and pull-down as a Thevenin equivalent.
         ends = _equivalents(board)
@@ -103,9 +88,6 @@ class ByNodes(Networks):
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
         return np.full((*ports.shape[:-2], *board.shape), np.inf)  # the bound by entries holds
 
-    def columns_one_by_one(self, board: Parts) -> bool:
-        return board.shared_by > 1
-
     def alone(self, board: Parts) -> Alone:
         assert board.line_ends is not None
         rest, gain, span = _alone(board.line_ends)
@@ -113,7 +95,8 @@ class ByNodes(Networks):
 
     def at_rest(self, board: Parts) -> FloatArray:
         assert board.line_ends is not None
-        return _alone(board.line_ends)[0]
+        rest: FloatArray = _alone(board.line_ends)[0]
+        return rest
 
     def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
         ends = board.line_ends
@@ -122,7 +105,7 @@ class ByNodes(Networks):
             return super().ideal_volts(board, cells)
         with np.errstate(divide="ignore"):
             log = np.log10(1.0 / cells)
-        lines = np.broadcast_to(np.clip(log, *_CURVE), (*np.shape(cells)[:-2], *board.shape))
+        lines = np.broadcast_to(np.clip(log, *CURVE), (*np.shape(cells)[:-2], *board.shape))
         return _each_curve(ends, lines, lambda curve, own: np.interp(own, *curve))
 
     def apparent_resistance(self, board: Parts, volts: FloatArray) -> FloatArray:
@@ -145,39 +128,34 @@ def _equivalents(board: Parts) -> Columns:
 
 
 @lru_cache(maxsize=64)
-def _alone(ends: LineEnds) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Volts (N, M) without a cell, and gain in V ohm and span in ohm of :class:`._circuit.Alone`.
+def _kinds(ends: LineEnds) -> tuple[tuple[int, int, BoolArray], ...]:
+    """Row and column of one crosspoint of each kind of ends, and all crosspoints (N, M) of this kind."""
+    places: dict[tuple[object, ...], BoolArray] = {}
+    for row, column in np.ndindex(ends.shape):
+        key = ends.selected[row], ends.idle[row], ends.read[column], ends.unread[column]
+        places.setdefault(key, np.zeros(ends.shape, dtype=np.bool_))[row, column] = True
+    first = [np.argwhere(own)[0].tolist() for own in places.values()]
+    return tuple((row, column, own) for (row, column), own in zip(first, places.values(), strict=True))
+
+
+@lru_cache(maxsize=64)
+def _alone(ends: LineEnds) -> FloatArray:
+    """Volts (3, N, M) without a cell, and gain in V ohm and span in ohm of :class:`._circuit.Alone`.
 
     In a linear circuit the output is a fraction of two linear functions of the cell's conductance, which three
     solutions give.
     """
-    rows, columns = ends.shape
-    rest, gain, span = np.empty((3, rows, columns))
-    known: dict[tuple[object, ...], tuple[float, float, float]] = {}
-    for row in range(rows):
-        for column in range(columns):
-            key = ends.selected[row], ends.idle[row], ends.read[column], ends.unread[column]
-            if key not in known:
-                known[key] = _fraction(ends, row, column)
-            rest[row, column], gain[row, column], span[row, column] = known[key]
-    return rest, gain, span
+    found = np.empty((3, *ends.shape))
+    for row, column, own in _kinds(ends):
+        found[:, own] = np.array(_fraction(ends, row, column))[:, None]
+    return found
 
 
 @lru_cache(maxsize=64)
 def _curves(ends: LineEnds) -> tuple[tuple[FloatArray, FloatArray, BoolArray], ...]:
     """Logarithms of a cell's conductance, its output alone in V, and the crosspoints (N, M) that have this curve."""
-    rows, columns = ends.shape
-    places: dict[tuple[object, ...], BoolArray] = {}
-    for row in range(rows):
-        for column in range(columns):
-            key = ends.selected[row], ends.idle[row], ends.read[column], ends.unread[column]
-            places.setdefault(key, np.zeros((rows, columns), dtype=np.bool_))[row, column] = True
-    log = np.linspace(*_CURVE, _CURVE_POINTS)
-    found = []
-    for own in places.values():
-        row, column = (int(place) for place in np.argwhere(own)[0])
-        found.append((log, alone(ends, row, column, 10.0**log), own))
-    return tuple(found)
+    log = np.linspace(*CURVE, CURVE_POINTS)
+    return tuple((log, alone(ends, row, column, 10.0**log), own) for row, column, own in _kinds(ends))
 
 
 def _each_curve(
@@ -208,10 +186,10 @@ def _from_curve(curve: tuple[FloatArray, FloatArray], volts: FloatArray) -> Floa
 
 def _fraction(ends: LineEnds, row: int, column: int) -> tuple[float, float, float]:
     """Rest, gain and span of one crosspoint."""
-    near, far = alone(ends, row, column, np.array(_PROBES_S))
+    near, far = alone(ends, row, column, np.array(PROBES_S))
     if np.isclose(near, far, rtol=1e-9, atol=0.0):  # nothing loads the column, or a current drives the row
         return 0.0, OPEN_OHM * float(near), OPEN_OHM
     rest = alone(ends, row, column, np.zeros(1))[0]
-    first, second = (near - rest) / _PROBES_S[0], (far - rest) / _PROBES_S[1]
+    first, second = (near - rest) / PROBES_S[0], (far - rest) / PROBES_S[1]
     ohms = (first - second) / (far - near)
     return rest, first + ohms * (near - rest), ohms

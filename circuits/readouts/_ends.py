@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.arrays import FloatArray
-from .._parts import Parts
+from ...common.arrays import FloatArray, IntArray
+from .._parts import Parts, of_columns
 from ..solvers import IDEAL_WIRE, Rounded, eliminate_leading, inverted, siemens
 
 Values = NDArray[Any]
@@ -37,7 +37,7 @@ class EndParts(NamedTuple):
 
     @classmethod
     def of(cls, board: Parts) -> Self:
-        return cls(board.reference, 1.0 / board.gain, board.offset, board.bias, np.array([board.level]))
+        return cls(board.reference, 1.0 / board.gain, board.offset, board.bias, np.atleast_1d(board.level))
 
 
 class Ends(NamedTuple):
@@ -64,8 +64,8 @@ def terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> Rounded:
     """
     if not resistance.any():
         return Rounded(ports, np.zeros(ports.shape[:-2]))
-    columns = len(resistance)
-    behind = siemens(resistance)
+    behind = siemens(of_columns(resistance))
+    columns = behind.shape[-1]
     largest = np.max(behind, where=np.isfinite(behind), initial=ports.max(initial=0.0))
     behind = np.minimum(behind, IDEAL_WIRE * largest)
     network = np.zeros((*ports.shape[:-2], rows + 2 * columns, rows + 2 * columns))
@@ -85,9 +85,7 @@ class Currents(NamedTuple):
     value: FloatArray
     """(..., N, M) A"""
     magnitude: FloatArray
-    """(..., N, M) A: sum of the magnitudes of the terms of the current"""
-    cancelled: FloatArray
-    """(..., N, M) A: the same sum over the terms with a difference a - b of sources, with abs(a) + abs(b) instead"""
+    """(..., N, M) A: sum of the magnitudes of the terms of the current, of a difference of sources both"""
     relative: FloatArray
     """(...,) bound on the relative error of the network's conductances, all further eliminations included"""
 
@@ -103,39 +101,42 @@ def column_currents(board: Parts, terminated: Rounded, source: FloatArray) -> Cu
     """
     network, relative = terminated
     rows, columns = board.shape
-    difference = source - source[:, None]  # exactly zero for equal sources, so that no large terms cancel
-    before = np.where(difference != 0, np.abs(source) + np.abs(source)[:, None], 0.0)
+    source = of_columns(source)
+    here, there = source[..., None, :], source[..., None]
+    difference = here - there  # exactly zero for equal sources, so that no large terms cancel
+    both = np.where(difference != 0, np.abs(here) + np.abs(there), 0.0)
     if not board.floating:
-        transfer = network[..., :rows, rows:]
-        idle = (network[..., rows:, rows:] * difference).sum(axis=-1) - transfer.sum(axis=-2) * source
-        idle_size = (network[..., rows:, rows:] * np.abs(difference)).sum(axis=-1)
-        idle_size += transfer.sum(axis=-2) * np.abs(source)
-        return Currents(
-            value=board.drive * transfer + idle[..., None, :],
-            magnitude=abs(board.drive) * transfer + idle_size[..., None, :],
-            cancelled=(network[..., rows:, rows:] * before).sum(axis=-1)[..., None, :] + np.zeros_like(transfer),
-            relative=relative,
-        )
-    currents, sizes, cancelled = np.empty((3, *network.shape[:-2], rows, columns))
+        transfer, between = network[..., :rows, rows:], network[..., rows:, rows:]
+        idle = (between * difference).sum(axis=-1) - transfer.sum(axis=-2) * source
+        idle_size = (between * both).sum(axis=-1) + transfer.sum(axis=-2) * np.abs(source)
+        value = board.drive * transfer + idle[..., None, :]
+        return Currents(value, abs(board.drive) * transfer + idle_size[..., None, :], relative)
+    currents, sizes = np.full((2, *network.shape[:-2], rows, columns), np.nan)
     worst = np.zeros(relative.shape)  # each step is solved on its own
-    applied = np.array([board.drive, 0.0][: 1 + board.pulled])[:, None]
-    for row, (alone, step) in enumerate(one_driven(network, rows)):
+    drive = np.atleast_2d(board.drive)
+    applied = np.concatenate([drive, np.zeros_like(drive)][: 1 + board.pulled], axis=-2)
+    fixed = applied.shape[-2]
+    for row, alone, step in one_driven(network, rows, board.steps):
         worst = np.maximum(worst, step)
-        to_fixed, between = alone[..., : len(applied), len(applied) :], alone[..., len(applied) :, len(applied) :]
-        driven = to_fixed * (applied - source)
-        currents[..., row, :] = driven.sum(axis=-2) + (between * difference).sum(axis=-1)
-        sizes[..., row, :] = np.abs(driven).sum(axis=-2) + (between * np.abs(difference)).sum(axis=-1)
-        cancelled[..., row, :] = (between * before).sum(axis=-1)
-        cancelled[..., row, :] += (to_fixed * (np.abs(applied) + np.abs(source))).sum(axis=-2)
-    return Currents(currents, sizes, cancelled, relative + worst)
+        to_fixed, between = alone[..., :fixed, fixed:], alone[..., fixed:, fixed:]
+        currents[..., row, :] = (to_fixed * (applied - here)).sum(axis=-2) + (between * difference).sum(axis=-1)
+        sizes[..., row, :] = (to_fixed * (np.abs(applied) + np.abs(here))).sum(axis=-2) + (between * both).sum(axis=-1)
+    return Currents(currents, sizes, relative + worst)
 
 
-def one_driven(network: FloatArray, rows: int) -> Iterator[Rounded]:
-    """For each selected row, the network between its terminal and all ports that are no rows, the other rows open."""
+def one_driven(
+    network: FloatArray, rows: int, steps: IntArray | None = None
+) -> Iterator[tuple[int, FloatArray, FloatArray]]:
+    """For each selected row, the network between its terminal and all ports that are no rows, the other rows open.
+
+    Yields:
+        The row, the network in S, and a bound on its relative error.
+
+    """
     others = np.arange(rows, network.shape[-1])
-    for row in range(rows):
+    for row in range(rows) if steps is None else steps.tolist():
         order = np.r_[np.delete(np.arange(rows), row), row, others]
-        yield eliminate_leading(network[..., order[:, None], order], rows - 1)
+        yield row, *eliminate_leading(network[..., order[:, None], order], rows - 1)
 
 
 def currents_in_turns(board: Parts, ports: FloatArray, ends: Ends) -> Currents:
@@ -150,16 +151,16 @@ def currents_in_turns(board: Parts, ports: FloatArray, ends: Ends) -> Currents:
     rows, columns = board.shape
     if not board.pulled and reads_alone(board, ends):
         return _currents_alone(board, ports, ends.resistance + board.column_lead)
-    value, magnitude, cancelled = np.empty((3, *ports.shape[:-2], rows, columns))
+    value, magnitude = np.empty((2, *ports.shape[:-2], rows, columns))
     relative = np.zeros(ports.shape[:-2])
     for read in board.turns:
         behind = np.where(read, ends.resistance, board.idle_resistance) + board.column_lead
         terminated = terminate(ports, rows + board.pulled, behind)
         part = column_currents(board, terminated, np.where(read, ends.source, board.idle_source))
-        for whole, own in zip((value, magnitude, cancelled), part[:3], strict=True):
+        for whole, own in zip((value, magnitude), part[:2], strict=True):
             whole[..., read] = own[..., read]
         relative = np.maximum(relative, part.relative)
-    return Currents(value, magnitude, cancelled, relative)
+    return Currents(value, magnitude, relative)
 
 
 def reads_alone(board: Parts, ends: Ends) -> bool:
@@ -175,35 +176,32 @@ def _currents_alone(board: Parts, ports: FloatArray, behind: FloatArray) -> Curr
     """
     rows = board.shape[0]
     if board.floating:
-        between, relative = effective_resistance(ports, rows)
+        between, relative = effective_resistance(ports, rows, board.steps)
         current = board.drive / (behind + between)
     else:
         inner, relative = inverted(ports[..., rows:, rows:], ports[..., :rows, rows:].sum(axis=-2), rows)
         open_circuit = board.drive * ports[..., :rows, rows:] @ inner
         current = open_circuit / (behind + np.einsum("...jj->...j", inner)[..., None, :])
-    return Currents(current, np.abs(current), np.zeros_like(current), relative)  # a quotient of sums of one sign
+    return Currents(current, np.abs(current), relative)  # a quotient of sums of one sign
 
 
-def effective_resistance(ports: FloatArray, rows: int) -> Rounded:
+def effective_resistance(ports: FloatArray, rows: int, steps: IntArray | None = None) -> Rounded:
     """Ohm (..., N, M) between each row terminal and each column terminal with all other terminals open.
 
     The selected row is grounded in each step. Grounding one node for all pairs would cancel digits of nearby pairs.
     """
-    from scipy.sparse.csgraph import connected_components
-
     size = ports.shape[-1]
-    result = np.empty((*ports.shape[:-2], rows, size - rows))
-    flat, out = ports.reshape(-1, size, size), result.reshape(-1, rows, size - rows)
-    relative = np.zeros(len(flat))  # each row of each frame is solved on its own
-    for frame, network in enumerate(flat):
-        _, island = connected_components(network > 0, directed=False)
-        for row in range(rows):
-            others = np.delete(np.arange(size), row)
-            inner, error = inverted(network[np.ix_(others, others)], network[row, others])
-            relative[frame] = max(relative[frame], float(error))
-            ohms = np.where(island[others] == island[row], np.diagonal(inner), inf)
-            out[frame, row] = ohms[rows - 1 :]
-    return Rounded(result, relative.reshape(ports.shape[:-2]))
+    result = np.full((*ports.shape[:-2], rows, size - rows), np.nan)
+    relative = np.zeros(ports.shape[:-2])  # each row is solved on its own
+    for row in range(rows) if steps is None else steps.tolist():
+        others = np.delete(np.arange(size), row)
+        to_row = ports[..., row, others]
+        inner, error = inverted(ports[..., others[:, None], others], to_row)
+        relative = np.maximum(relative, error)
+        follows = (inner @ to_row[..., None])[..., 0] > 0.5  # the row's potential; islands without it stay at 0
+        ohms = np.where(follows, np.einsum("...jj->...j", inner), inf)
+        result[..., row, :] = ohms[..., rows - 1 :]
+    return Rounded(result, relative)
 
 
 def sum_of_others(values: FloatArray) -> FloatArray:

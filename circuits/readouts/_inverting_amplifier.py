@@ -19,14 +19,12 @@ import numpy as np
 from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...errors import SolverError
 from .._parts import Parts
+from .._tuning import ROUNDS
 from ..solvers import IDEAL_WIRE, LARGEST_PART
 from ._adjoint import SensitivityGroup
 from ._circuit import Alone, Reading
 from ._ends import EndParts, Ends, column_currents, terminate
-from ._port_law import PortLaw
 from ._terminated import SignArray, Terminated
-
-_MURTY_AFTER = 50  # rounds of pivoting all columns at once, before one column at a time, which cannot cycle
 
 
 class InvertingAmplifier(Terminated):
@@ -34,7 +32,6 @@ class InvertingAmplifier(Terminated):
 
     name = "inverting-amplifier"
     virtual_ground = True
-    in_populations = True
 
     def ends_of(self, board: Parts, parts: EndParts, state: SignArray | None = None) -> Ends:
         reference, slack, offset, bias, level = parts
@@ -53,22 +50,21 @@ class InvertingAmplifier(Terminated):
         return Ends(*(np.where(state == 0, *both) for both in zip(linear, limited, strict=True)))
 
     def read(self, board: Parts, ports: FloatArray) -> Reading:
-        volts, saturated, magnitude, cancelled, relative, _ = super().read(board, ports)
+        volts, saturated, magnitude, relative, _ = super().read(board, ports)
         low, high = board.supply
         saturated = (volts < low) | (volts > high)
         if self.columns_one_by_one(board):  # one amplifier at a time: its limited output is the nearest limit
-            magnitude, cancelled = (np.where(saturated, 0.0, part) for part in (magnitude, cancelled))
-            volts = np.clip(volts, low, high)
+            magnitude, volts = np.where(saturated, 0.0, magnitude), np.clip(volts, low, high)
         elif saturated.any():
             frames = ports.reshape(-1, *ports.shape[-2:])
-            parts = [part.reshape(-1, *board.shape) for part in (volts, saturated, magnitude, cancelled)]
-            for frame in np.flatnonzero(parts[1].any(axis=(1, 2))):
+            parts = [part.reshape(-1, *board.shape) for part in (volts, saturated, magnitude)]
+            for frame in np.flatnonzero(parts[1].any(axis=(1, 2))).tolist():
                 of_frame = Reading(*(part[frame] for part in parts))
-                *limited, own, _ = self._read_saturated(board, frames[frame], of_frame)
+                *limited, own, _ = self._read_saturated(board.member(frame), frames[frame], of_frame)
                 for part, instead in zip(parts, limited, strict=True):
                     part[frame] = instead
                 relative = max(relative, own)
-        return Reading(volts, saturated, magnitude, cancelled, relative)
+        return Reading(volts, saturated, magnitude, relative)
 
     def _read_saturated(self, board: Parts, ports: FloatArray, unlimited: Reading) -> Reading:
         """One frame with saturated outputs; those of each scan step by principal pivoting."""
@@ -78,13 +74,11 @@ class InvertingAmplifier(Terminated):
         at_low, at_high = (
             np.where(np.isinf(board.gain), 0.0, end / board.gain) if isfinite(end) else 0.0 for end in (low, high)
         )
-        volts, magnitude, cancelled = (
-            part.copy() for part in (unlimited.volts, unlimited.magnitude, unlimited.cancelled)
-        )
+        volts, magnitude = unlimited.volts.copy(), unlimited.magnitude.copy()
         state = (volts > high).astype(np.int8) - (volts < low).astype(np.int8)
         pending: BoolArray = np.atleast_1d(state.any(axis=1))
         relative = 0.0
-        for attempt in range(_MURTY_AFTER + 4 * columns):
+        for attempt in range(ROUNDS + 4 * columns):
             patterns, which = np.unique(state, axis=0, return_inverse=True)
             for number, pattern in enumerate(patterns):
                 steps = np.flatnonzero((which.ravel() == number) & pending)
@@ -95,30 +89,20 @@ class InvertingAmplifier(Terminated):
                 every = column_currents(board, network, ends.source)
                 currents, relative = every.value[steps], max(relative, float(every.relative))
                 magnitude[steps] = np.abs(ends.slope) * every.magnitude[steps]
-                cancelled[steps] = np.abs(ends.slope) * every.cancelled[steps]
                 volts[steps] = ends.output + ends.slope * currents
                 wanted = (volts[steps] > high).astype(np.int8) - (volts[steps] < low).astype(np.int8)
                 # An output stays at its limit while the amplifier's input still drives it outwards.
                 input_volts = board.offset - (ends.source + ends.resistance * currents)
                 stays = ((pattern > 0) & (input_volts >= at_high)) | ((pattern < 0) & (input_volts <= at_low))
                 wanted = np.where(pattern == 0, wanted, np.where(stays, pattern, 0)).astype(np.int8)
-                if attempt >= _MURTY_AFTER:
+                if attempt >= ROUNDS:
                     first = np.argmax(wanted != pattern, axis=1)[:, None] == np.arange(columns)
                     wanted = np.where(first, wanted, pattern).astype(np.int8)
                 pending[steps] = (wanted != pattern).any(axis=1)
                 state[steps] = wanted
             if not pending.any():
-                return Reading(volts, state != 0, magnitude, cancelled, relative)
+                return Reading(volts, state != 0, magnitude, relative)
         raise SolverError("no consistent set of saturated outputs was found; check supply and reference_voltage")
-
-    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
-        if board.floating and self.columns_one_by_one(board) and board.idle_resistance.any():
-            return None  # nothing holds the idle columns
-        return PortLaw.of_ends(self.read_ends(board), wire, board.drive, floating=board.floating)
-
-    def ideal_inputs(self, board: Parts) -> BoolArray:
-        ideal: BoolArray = (board.column_lead == 0) & np.isinf(board.gain)
-        return ideal
 
     def undetermined(self, board: Parts, rows: IntArray, columns: IntArray) -> BoolArray | None:
         """Outputs of ideal amplifiers whose input is connected to a row driver by 0 ohm, while that driver is idle.
@@ -152,8 +136,7 @@ class InvertingAmplifier(Terminated):
 
     def delivered(self, board: Parts, group: SensitivityGroup, row_current: FloatArray) -> FloatArray:
         """The current of a column's end, less the bias current, through the reference resistor."""
-        current = np.broadcast_to(group.lead_current, (len(group.rows), 1, board.shape[1]))[:, 0]
-        delivered: FloatArray = (current - board.bias)[:, group.columns]
+        delivered: FloatArray = (group.lead_current[..., 0, :] - board.bias)[..., group.columns]
         return delivered
 
     def alone(self, board: Parts) -> Alone:

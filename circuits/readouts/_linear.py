@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
+from typing import Any
 
 import numpy as np
 
@@ -34,19 +35,19 @@ class LinearReadout:
     """V/A (M,) of each output by the current into its column"""
     drive: float
     """V of the selected row"""
-    source: float
-    """V at the columns' ends, relative to the potential of the idle rows"""
+    source: Any
+    """V at the columns' ends, relative to the potential of the idle rows; of a stack (S, 1, 1)"""
     supply: tuple[float, float]
     """V; lowest and highest output"""
     lines: Lines
     """wires of the grid, the resistances at the columns' ends included"""
     wires: Wires | None
-    """resistances of the same wires, for line attenuation; None if a line is broken"""
+    """resistances of the same wires, for line attenuation; None if a line is broken, or of a stack"""
 
     def volts(self, transfer: FloatArray) -> FloatArray:
         """Outputs (..., N, M) in V of amplifiers that never saturate."""
         volts = self.slope * self.drive * transfer
-        if self.source:
+        if np.any(self.source):
             volts -= self.source / self.drive * volts.sum(axis=-2, keepdims=True)
         volts += self.output
         return volts
@@ -63,8 +64,8 @@ class LinearReadout:
         """
         few = output_rounding(transfer.shape)
         error = self._gain[1] * (transfer_error + few * transfer)
-        if self.source:
-            error += abs(self.source / self.drive) * error.sum(axis=-2, keepdims=True)
+        if np.any(self.source):
+            error += np.abs(self.source / self.drive) * error.sum(axis=-2, keepdims=True)
         error += few * np.abs(self.output)
         return error
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
 from .._parts import Parts
-from ..ends import MOST_SIEMENS, Solution, System, solve, step_system
+from .._tuning import MOST_SIEMENS
+from ..ends import Solution, System, solve, step_system
 from ._adjoint import SensitivityGroup
 from ._circuit import Reading
 
@@ -37,7 +38,7 @@ def read_nodes(board: Parts, ports: FloatArray) -> Reading:
                 magnitude[frame, row, place] = 0.5 * float((drop * np.abs(field[:, None] - field)).sum())
     shape = (*batch, rows, columns)
     volts, saturated, magnitude, error = (part.reshape(shape) for part in (volts, saturated, magnitude, error))
-    return Reading(volts, saturated, magnitude, np.zeros(shape), 0.0, error)
+    return Reading(volts, saturated, magnitude, 0.0, error)
 
 
 def node_groups(board: Parts, ports: FloatArray) -> Iterator[SensitivityGroup]:
@@ -57,7 +58,7 @@ def node_groups(board: Parts, ports: FloatArray) -> Iterator[SensitivityGroup]:
             adjoint=adjoint[None],
             lead_current=into[:, None],
             adjoint_lead_current=into_adjoint[None],
-            own_parts={},
+            own_parts=dict,
         )
 
 

@@ -18,9 +18,8 @@ import numpy as np
 from ...common.arrays import FloatArray
 from ...common.compiled import FixedRow, FixedRows, Rows, load, loop
 from .._parts import Parts
+from .._tuning import CONNECTED, LEAST_LEAD, MOST_COLUMNS
 from ._ends import Ends
-
-_MOST_COLUMNS = 32  # up to which loops are quicker than matrix products and LAPACK
 
 
 class QuickNetwork(NamedTuple):
@@ -55,7 +54,7 @@ class QuickNetwork(NamedTuple):
     @staticmethod
     def load_loops(columns: int) -> bool:
         """Whether there is machine code, and it is faster than array operations for this number of columns."""
-        return columns <= _MOST_COLUMNS and load(columns_impedance, network_behind_leads)
+        return columns <= MOST_COLUMNS and load(columns_impedance, network_behind_leads)
 
 
 def terminated_outputs(board: Parts, network: QuickNetwork, ends: Ends) -> FloatArray:
@@ -97,7 +96,7 @@ def _alone(board: Parts, network: QuickNetwork) -> _Alone:
 
     """
     rows = len(network.driven)
-    idle = 1.0 / np.maximum(board.idle_resistance + board.column_lead, _LEAST_LEAD)
+    idle = 1.0 / np.maximum(board.idle_resistance + board.column_lead, LEAST_LEAD)
     if not board.floating:
         impedance = _impedance(network, idle)
         own, open_circuit = np.diagonal(impedance), board.drive * (network.driven @ impedance)
@@ -112,7 +111,7 @@ def _alone(board: Parts, network: QuickNetwork) -> _Alone:
     laplacian += np.trace(laplacian) / len(laplacian) ** 2
     impedance = np.asarray(np.linalg.inv(laplacian), dtype=np.float64)
     diagonal = np.diagonal(impedance)
-    if not float(np.abs(diagonal).max()) * np.trace(laplacian) < _CONNECTED * len(laplacian):
+    if not float(np.abs(diagonal).max()) * np.trace(laplacian) < CONNECTED * len(laplacian):
         raise np.linalg.LinAlgError("parts of the grid have no connection")
     own = diagonal[:rows, None] + diagonal[rows:] - 2.0 * impedance[:rows, rows:]
     return _Alone(board.drive / own, 1.0 / own, impedance, own, idle)
@@ -217,16 +216,12 @@ def behind_leads(network: QuickNetwork, lead: FloatArray) -> tuple[FloatArray, F
     """``driven`` and ``across`` of the network with ``lead`` (M,) ohm behind each column."""
     if not lead.any():
         return network.driven, network.across
-    into_lead = 1.0 / np.maximum(lead, _LEAST_LEAD)
+    into_lead = 1.0 / np.maximum(lead, LEAST_LEAD)
     impedance = _impedance(network, into_lead)
     impedance *= into_lead
     across = into_lead[:, None] * impedance
     across.flat[:: len(across) + 1] = 0.0
     return network.driven @ impedance, across
-
-
-_LEAST_LEAD = 1e-5  # ohm: stands for an ideal lead beside others that are not
-_CONNECTED = 1e13  # impedance of a node over that of a mean node, beyond which rounding alone connects it
 
 
 def _impedance(network: QuickNetwork, to_ground: FloatArray | float) -> FloatArray:

@@ -12,7 +12,7 @@ from math import isfinite
 import numpy as np
 
 from ...common.arrays import FloatArray
-from .._parts import Parts
+from .._parts import Parts, of_columns
 from ..solvers import series_conductance, siemens
 from ._ends import sum_of_others
 
@@ -27,14 +27,15 @@ def energy_bound(board: Parts, ports: FloatArray, relative: float, end_resistanc
         end_resistance: (M,) ohm behind the column leads.
 
     """
-    behind = board.column_lead + end_resistance
+    behind = of_columns(board.column_lead + end_resistance)
     rows = board.shape[0]
     total = ports.sum(axis=-1)[..., rows + board.pulled :]
-    row = np.sqrt(conductance_into_rows(ports, rows, np.insert(behind, 0, 0.0) if board.pulled else behind))
+    ends = np.insert(behind, 0, 0.0, axis=-1) if board.pulled else behind
+    row = np.sqrt(conductance_into_rows(ports, rows, ends))
     column = np.sqrt(series_conductance(total, siemens(behind)))
-    limits = [abs(limit - board.level) for limit in board.supply if isfinite(limit)]
+    limits = [float(np.max(np.abs(limit - board.level))) for limit in board.supply if isfinite(limit)]
     others = np.maximum(np.abs(board.offset) + abs(board.level) * board.inverse_gain, max(limits, default=0.0))
-    others += np.abs(board.lift)
+    others = of_columns(others + np.abs(board.lift))
     with np.errstate(invalid="ignore"):  # inf times 0 where a conductance is infinite
         applied = abs(board.drive) * row[..., :, None] + (others * column).sum(axis=-1)[..., None, None]
         error: FloatArray = board.reference * relative * applied * column[..., None, :]

@@ -8,13 +8,14 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.arrays import FloatArray
-from .._parts import Parts
+from ...common.arrays import BoolArray, FloatArray
+from .._parts import Parts, of_columns
 from ..solvers import Lines, Wires
 from ._adjoint import SensitivityGroup, terminated_groups
 from ._circuit import Reading, ReadoutCircuit
 from ._ends import Currents, EndParts, Ends, column_currents, currents_in_turns, terminate
 from ._linear import LinearReadout
+from ._port_law import PortLaw
 from ._quick import (
     QuickFields,
     QuickNetwork,
@@ -53,23 +54,28 @@ class Terminated(ReadoutCircuit):
     def read_ends(self, board: Parts) -> Ends:
         return self.ends_of(board, EndParts.of(board))
 
-    def ends(self, board: Parts) -> Ends | None:
-        return None if self.columns_one_by_one(board) else self.read_ends(board)
-
     def end_resistance(self, board: Parts) -> FloatArray:
         own = self.read_ends(board).resistance
         return np.minimum(own, board.idle_resistance) if self.columns_one_by_one(board) else own
 
-    def columns_one_by_one(self, board: Parts) -> bool:
-        return board.shared_by > 1
+    def ideal_inputs(self, board: Parts) -> BoolArray:
+        held: BoolArray = (self.read_ends(board).resistance + board.column_lead) == 0
+        return held
+
+    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
+        one_by_one = self.columns_one_by_one(board)
+        held = self.virtual_ground and not (one_by_one and board.idle_resistance.any())
+        if board.floating and not held:
+            return None
+        return PortLaw.of_ends(self.read_ends(board), wire, board.drive, floating=board.floating)
 
     def read(self, board: Parts, ports: FloatArray) -> Reading:
         ends = self.read_ends(board)
         currents = self._currents(board, ports, ends)
         volts = ends.output + ends.slope * currents.value
-        magnitude, cancelled = (np.abs(ends.slope) * part for part in (currents.magnitude, currents.cancelled))
+        magnitude = np.abs(ends.slope) * currents.magnitude
         relative = float(currents.relative.max(initial=0.0))
-        return Reading(volts, np.zeros(volts.shape, dtype=np.bool_), magnitude, cancelled, relative)
+        return Reading(volts, np.zeros(volts.shape, dtype=np.bool_), magnitude, relative)
 
     def _currents(self, board: Parts, ports: FloatArray, ends: Ends) -> Currents:
         if self.columns_one_by_one(board):
@@ -93,12 +99,18 @@ class Terminated(ReadoutCircuit):
         parts = EndParts.of(board)
         at_high = reading.volts >= board.supply[1]
         state = np.where(reading.saturated, np.where(at_high, 1, -1), 0).astype(np.int8)
+        if board.is_stack:  # none of whose boards is saturated
+            state = np.zeros_like(state[0])
         patterns, pattern_of = np.unique(state, axis=0, return_inverse=True)
         for number, pattern in enumerate(patterns):
-            slopes = {}
-            for name, field in _OWN_PARTS.items():
-                moved = self.ends_of(board, parts._replace(**{field: getattr(parts, field) + 1j * _STEP}), pattern)
-                slopes[name] = Ends(*(np.imag(value) / _STEP for value in moved))
+
+            def slopes(pattern: SignArray = pattern) -> dict[str, Ends]:
+                found = {}
+                for name, field in _OWN_PARTS.items():
+                    moved = self.ends_of(board, parts._replace(**{field: getattr(parts, field) + 1j * _STEP}), pattern)
+                    found[name] = Ends(*(np.imag(value) / _STEP for value in moved))
+                return found
+
             ends = self.ends_of(board, parts, pattern)  # one at a limit does not move: its adjoint field is zero
             steps = np.flatnonzero(pattern_of.ravel() == number)
             one_by_one = self.columns_one_by_one(board)
@@ -110,18 +122,19 @@ class Terminated(ReadoutCircuit):
         if ends is None:
             return None
         resistance = ends.resistance + board.column_lead
-        if (ends.source != ends.source[0]).any() or np.isinf(resistance).any():
+        source = ends.source[..., :1]
+        if (ends.source != source).any() or np.isinf(resistance).any():
             return None
         with np.errstate(divide="ignore"):
-            ended = Lines(board.lines.row, board.lines.column, 1.0 / resistance)
+            ended = Lines(board.lines.row, board.lines.column, 1.0 / of_columns(resistance))
         return LinearReadout(
             output=ends.output,
             slope=ends.slope,
             drive=board.drive,
-            source=float(ends.source[0]),
+            source=source if board.is_stack else source.item(),
             supply=board.supply,
             lines=ended,
-            wires=Wires.of(ended),
+            wires=None if board.is_stack else Wires.of(ended),
         )
 
 

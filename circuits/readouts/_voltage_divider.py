@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...common.arrays import FloatArray
 from .._parts import Parts
 from ._circuit import Alone
 from ._ends import EndParts, Ends
-from ._linear import LinearReadout
-from ._port_law import PortLaw
 from ._terminated import SignArray, Terminated
 
 
@@ -23,7 +20,6 @@ class VoltageDivider(Terminated):
     name = "voltage-divider"
     has_amplifiers = False
     mixes_cells = True
-    in_populations = True
 
     def ends_of(self, board: Parts, parts: EndParts, state: SignArray | None = None) -> Ends:
         nothing = np.zeros_like(parts.reference)
@@ -34,12 +30,6 @@ class VoltageDivider(Terminated):
 
     def ends(self, board: Parts) -> Ends | None:
         return None  # no virtual grounds
-
-    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
-        return None if board.floating else PortLaw.of_ends(self.read_ends(board), wire, board.drive, floating=False)
-
-    def linear(self, board: Parts) -> LinearReadout | None:
-        return None
 
     def alone(self, board: Parts) -> Alone:
         return Alone(board.drive * board.reference, board.reference)

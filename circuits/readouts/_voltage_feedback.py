@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
-from .._parts import Parts
+from .._parts import Parts, at_any, of_columns
 from ..solvers import ULP, siemens
 from ._adjoint import SensitivityGroup, TiedPorts
 from ._circuit import Contradiction, Reading
@@ -84,8 +84,7 @@ class VoltageFeedback(VoltageDivider):
         from_row = balance.driven * (np.abs(board.drive - column) + ULP * np.abs(column))
         from_idle = balance.idle * (follower + board.inverse_gain * np.abs(column))
         magnitude = board.loop_share * (from_row + from_idle) / balance.slope
-        lifted = board.loop_share * balance.idle * follower / balance.slope
-        return Reading(np.clip(volts, low, high), saturated, magnitude, lifted, balance.relative)
+        return Reading(np.clip(volts, low, high), saturated, magnitude, balance.relative)
 
     def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
         driven, across = behind_leads(network, board.column_lead)
@@ -117,7 +116,7 @@ class VoltageFeedback(VoltageDivider):
         column = balance.column(board)
         above_idle = column - board.loop_share * (board.level + column + board.offset) + board.level
         own = np.sqrt(balance.driven + balance.idle)
-        row = np.sqrt(conductance_into_rows(ports, board.shape[0], board.column_lead))[..., None]
+        row = np.sqrt(conductance_into_rows(ports, board.shape[0], of_columns(board.column_lead)))[..., None]
         with np.errstate(invalid="ignore"):  # inf times 0 where a conductance is infinite
             field = row * np.abs(board.drive - column + above_idle) + own * np.abs(above_idle)
             error: FloatArray = board.loop_share * relative * own * field / balance.slope
@@ -140,7 +139,8 @@ class VoltageFeedback(VoltageDivider):
         several_rows, several_columns = (length > 1 for length in board.shape)
         # If a row and a column are joined, the follower holds the column while the row is driven, and the row while the
         # column is sensed. The latter is a contradiction only if the follower is ideal.
-        joined &= several_columns | (several_rows & np.isinf(board.gain))
+        ideal = at_any(np.isinf(board.gain), 1)
+        joined &= several_columns | (several_rows & ideal)
         if joined.any():
             row, column = (int(place) for place in np.argwhere(joined)[0])
             return Contradiction(
@@ -149,15 +149,12 @@ class VoltageFeedback(VoltageDivider):
             )
         for column, island in enumerate(columns):
             for other in np.flatnonzero(columns[:column] == island).tolist():
-                if np.isinf(board.gain[column]) or np.isinf(board.gain[other]):
+                if ideal[column] or ideal[other]:
                     return Contradiction(
                         f"the ends of columns {other} and {column}, which are the ideal follower's input and output,",
                         "array.column_lead, or readout.open_loop_gain a finite value",
                     )
         return None
-
-    def columns_one_by_one(self, board: Parts) -> bool:
-        return True
 
     def delivered(self, board: Parts, group: SensitivityGroup, row_current: FloatArray) -> FloatArray:
         """The follower's current into all idle rows and columns."""
@@ -207,5 +204,5 @@ class VoltageFeedback(VoltageDivider):
             adjoint=gain[..., None] * field,
             lead_current=ties.currents(forward, behind)[..., rows:],
             adjoint_lead_current=gain[..., None] * back[:, rows:],
-            own_parts=own,
+            own_parts=lambda: own,
         )

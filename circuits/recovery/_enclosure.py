@@ -571,7 +571,7 @@ def added_between(
                 if not joined:
                     continue
                 for step in range(rows):
-                    current = abs(apart[step, j] * drives[step, j])
+                    current = (abs(apart[step, j]) + of_driven[step, j]) * abs(drives[step, j])
                     added[step, k] += current * pairs[PASSES_ON, j, k] + pairs[DRIVEN_APART, j, k]
                     added[step, j] += current * pairs[PASSES_ON, j, k]
                     if limited[step, j]:  # nothing holds the column in that step
@@ -667,7 +667,8 @@ class Enclosure:
         idle = np.minimum(idle, 1.0 / TINY)[:, None]
         apart, apart_idle = behind + 2.0 * LEAST_SHORT_OHM, idle.T + 2.0 * LEAST_SHORT_OHM
         into, away = idle / (idle + apart), behind[:, None] / (behind[:, None] + apart_idle)
-        pairs[PASSES_ON] = np.maximum(into, away)  # share of a current that a joined column takes
+        # A over what is read of a current: how much of it a joined column takes.
+        pairs[PASSES_ON] = np.maximum(into, away) / (1.0 - away)
         pairs[DRIVEN_APART] = np.abs(idle_source[:, None] - source) / (idle + apart)  # A between joined columns
         most_beside = 1.0 / (law.wire[:, None] + law.wire + 2.0 * LEAST_SHORT_OHM)  # S, from column to column
         pairs[BESIDE] = (hidden.T.astype(np.float64) @ hidden) * most_beside

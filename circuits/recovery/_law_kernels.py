@@ -361,11 +361,10 @@ def move(
                 most = max(most, beyond[i, j])
         by_row = most * moved / row_sums[i]
         for j in range(columns):
-            # What passes beside a cell does not fall with it, though nothing may be left of it where cells are equal.
+            # What passes beside a cell does not change with it, though nothing may be left of it where cells are equal.
             least = max(cells[i, j], OPEN)
-            fallen = change[i, j] * max(1.0 / least - 1.0 / base[i, j], 0.0)
-            off[i, j] = by_row + in_columns[j] + min(change[i, j] / base[i, j], 1.0) * beyond[i, j]
-            off[i, j] += fallen * max(beyond[i, j], passed)
+            own = min(change[i, j] / base[i, j], 1.0) + change[i, j] * max(1.0 / least - 1.0 / base[i, j], 0.0)
+            off[i, j] = by_row + in_columns[j] + own * max(beyond[i, j], passed)
             if added[i, j] != 0.0:
                 off[i, j] *= max(max(base[i, j], abs(added[i, j])) / least, 1.0)
 

@@ -17,7 +17,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.arrays import FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ...common.measurement import Measurement
 from ...errors import SolverError
 from .._adc import adc_error
@@ -38,6 +38,7 @@ from ._quick_model import COMPLETE_SHORT
 _SHEET_EVALUATIONS = 1  # of a continuous sheet in a frame, a hundred times as dear as that of a sliced one
 _MOST_HIDDEN = 10.0  # conductance of a cell behind a named break over the median of others, if no range is known
 _HIDDEN_MARGIN = 2.0  # for some of the cells behind a break that conduct well, where the effects of all at once cancel
+_COUPLED = 0.3  # share of a column's current that may pass to others, from which on steps do not tell what is left
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
 
 
@@ -203,6 +204,8 @@ class LawLive:
         cells, left, settled = factors(by_law, self._frames.relative, off, counted, self._rule.limit)
         if not settled and self._last_fit is not None and held and self._frames.lone():
             return self._last_fit.read(frame, cells)
+        if settled and float(factors.kept.coupling.max()) > _COUPLED:
+            left = np.maximum(left, self._frames.linear * self._misfit(frame, cells, counted))
         if self._some_hidden and settled:
             self._frames.by_hidden[...] = self._of_hidden(cells)
         self._frames.found[...], self._frames.left[...] = cells, left if settled else 0.0
@@ -214,6 +217,14 @@ class LawLive:
         return self._enclosure.unheld(
             *(nowhere if cells is None else cells for cells in (frame.limited, frame.under_range))
         )
+
+    def _misfit(self, frame: Readings, cells: FloatArray, counted: BoolArray) -> float:
+        """Largest difference of the model's readings at ``cells`` (N, M) in S from those ``counted``, over their error.
+
+        Where lines join columns, steps of the factors may be short far from where they end; readings tell.
+        """
+        apart = np.abs(frame.volts - self._volts(np.maximum(cells, OPEN)))[counted]
+        return float(apart.max(initial=0.0)) / (self._half_step + SIGMAS * frame.noise)
 
     def _of_hidden(self, cells: FloatArray) -> FloatArray:
         """Relative change (N, M) of ``cells`` in S over all conductances of those behind a named break."""
@@ -231,7 +242,11 @@ class LawLive:
         return grown
 
     def _law_of_model(self, conductance: FloatArray, hidden: float | None = None) -> FloatArray:
-        """What the laws make of the readings of cells (N, M) in S in the full model, in S.
+        """What the laws make of the readings of cells (N, M) in S in the full model, in S."""
+        return self._law(self._volts(conductance, hidden))
+
+    def _volts(self, conductance: FloatArray, hidden: float | None = None) -> FloatArray:
+        """Readings in V of cells (N, M) in S in the full model.
 
         Cells behind a break conduct ``hidden`` S; None: as the median of the others.
         """
@@ -241,8 +256,7 @@ class LawLive:
         if self._some_hidden:  # cells behind a break tie other lines to each other, whatever they are
             own = np.where(self._hidden, np.median(own[~self._hidden]) if hidden is None else hidden, own)
         cells = 1.0 / own
-        volts = self._model(cells) if self._sheet is None else read_exactly(self._sheet, cells)[0].volts
-        return self._law(volts)
+        return self._model(cells) if self._sheet is None else read_exactly(self._sheet, cells)[0].volts
 
     def _nothing(self, frame: Readings) -> Measurement:
         """A frame that determines no cell."""

@@ -14,8 +14,9 @@ from ._attenuation import Attenuated, Wires, attenuate
 from ._elimination import ULP, Rounded, eliminate_leading, inverted
 from ._exact import entrywise, exact_transfer, series_conductance
 from ._network import Element, Network, reduce
-from ._ports import IDEAL_WIRE, LARGEST_PART, Lines, has_ideal_lines, port_conductances
-from ._siemens import LEAST_OHM, siemens
+from ._ports import Lines, has_ideal_lines, port_conductances
+from ._siemens import siemens
+from ._tuning import IDEAL_WIRE, LARGEST_PART, LEAST_OHM
 
 __all__ = [
     "IDEAL_WIRE",

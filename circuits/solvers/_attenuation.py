@@ -40,8 +40,6 @@ from ...common.arrays import FloatArray
 from ._elimination import ULP
 from ._ports import Lines
 
-_SLACK = 1.0 + 1e-6  # covers the rounding errors of the bounds themselves
-
 
 class Ladders(NamedTuple):
     """Many ladders of equal length, solved together.
@@ -183,7 +181,8 @@ def _by_ladders(cells: FloatArray, wires: Wires) -> Attenuated:
     reach = wires.to_driver / (1.0 + wires.to_driver * beyond)
     column_square = np.einsum("...ij,...ij,...ij->...j", out, out * upper_factor - transfer, reach)
     returned = (1.0 + relative - lowest) * (1.0 + relative - least)
-    certain = _SLACK * (1.0 + relative) ** 2 / np.maximum(1.0 - returned, 1e-60)
+    # The square root of an ulp covers the rounding errors of the bounds themselves.
+    certain = (1.0 + ULP**0.5) * (1.0 + relative) ** 2 / np.maximum(1.0 - returned, 1e-60)
     return Attenuated(transfer, certain[:, None] * np.sqrt(row_square), np.sqrt(column_square), upper_factor - 1.0)
 
 

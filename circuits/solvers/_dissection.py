@@ -34,8 +34,7 @@ from ...common.arrays import FloatArray
 from ._dissection_leaves import far_rims, fill_leaves, leaf_scratch, reduce_leaves
 from ._dissection_plan import Merge, Plan, plan
 from ._elimination import inverted
-
-_CACHE_SIZE = 1 << 24  # numbers that each thread keeps in memory between calls (128 MB)
+from ._tuning import KEPT_NUMBERS
 
 
 class _Join:
@@ -139,15 +138,16 @@ class Dissection:
 
         Args:
             cells: (frames, N, M) S.
-            row: (N, M) S on the left of each crosspoint.
-            column: (N, M) S above each crosspoint.
+            row: (N, M) S on the left of each crosspoint, or (frames, N, M).
+            column: likewise, S above each crosspoint.
 
         Returns:
             (frames, ...) S of the last level, padding included, and bounds (frames,) on the relative rounding errors.
             The first array is overwritten by the next call.
 
         """
-        fill_leaves(self._plan, (cells, row[None], column[None]), self._given)
+        each = (part.reshape(-1, *part.shape[-2:]) for part in (cells, row, column))
+        fill_leaves(self._plan, tuple(each), self._given)
         given = self._given.reshape(len(self._given), -1)
         relative = reduce_leaves(self._plan.leaf, given, self._far_rims, self._leaves, self._scratch)
         relative = relative.reshape(self._given.shape[1:])
@@ -198,8 +198,8 @@ def dissect(
 
     Args:
         cells: (frames, N, M) S, finite.
-        row: (N, M) S on the left of each crosspoint, finite.
-        column: (N, M) S above each crosspoint, finite.
+        row: (N, M) S on the left of each crosspoint, finite, or (frames, N, M).
+        column: likewise, S above each crosspoint.
         transfer_only: whether to compute the conductances between rows and columns only.
 
     Returns:
@@ -213,7 +213,7 @@ def dissect(
     network, relative = work.run(cells, row, column)
     network = _without_padding(plan(*cells.shape[1:]), network, cells.shape[1:], transfer_only).copy()
     kept[key] = work  # at the end: the most recently used
-    while sum(some.size for some in kept.values()) > _CACHE_SIZE:
+    while sum(some.size for some in kept.values()) > KEPT_NUMBERS:
         del kept[next(iter(kept))]
     return network, relative
 

@@ -11,11 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.arrays import IN_CACHE, BoolArray, FloatArray, IntArray
 from ._dissection_plan import Block, Label, Plan
 from ._elimination import ULP, inverted
-
-_CHUNK_SIZE = 1 << 16  # conductances of the leaves that are eliminated together; they fit into the processor's cache
 
 
 class Step(NamedTuple):
@@ -176,7 +174,7 @@ def reduce_leaves(
 
 
 def _leaf_chunk(program: Leaf, leaves: int) -> int:
-    return max(1, min(leaves, _CHUNK_SIZE // program.branches))
+    return max(1, min(leaves, IN_CACHE // 2 // program.branches))
 
 
 def leaf_scratch(block: Block, leaves: int) -> int:

@@ -9,7 +9,7 @@ import math
 from functools import lru_cache
 from typing import NamedTuple
 
-LEAF = 5  # largest number of crosspoints along the side of a leaf
+from ._tuning import LEAF
 
 Label = tuple[str, int, int]
 """A node ("row" | "column", line, place). Place 0 is the line's terminal, place k the node at crosspoint k."""

@@ -33,10 +33,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ...common.arrays import FloatArray
+from ._tuning import SAFE_SHARE, SUM_OF_GROWTHS
 
-SAFE_SHARE = 1e-3  # of a node's conductance must leave the block for LU; four digits may cancel, of sixteen
 ULP = float(np.finfo(np.float64).eps) / 2.0
-_SUM_OF_GROWTHS = 8  # nodes up to which a sharper rounding bound is not worth another matrix product
 
 
 class Rounded(NamedTuple):
@@ -120,7 +119,7 @@ def _lu_rounding(inverse: FloatArray, total: FloatArray, ports: int) -> FloatArr
     sums of nonnegative numbers, and add gamma_n each.
     """
     nodes: int = inverse.shape[-1]
-    if nodes <= _SUM_OF_GROWTHS:
+    if nodes <= SUM_OF_GROWTHS:
         amplification: FloatArray = (np.einsum("...ii->...i", inverse) * total).sum(axis=-1)
     else:
         twice = (inverse * total[..., None, :]) @ inverse

@@ -56,18 +56,19 @@ def port_roots(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatA
     the crosspoints with port i's line ungrounded. The remaining network is a ladder of cells to ground. In the second
     case each cell is in series with the crossing line's wires to the neighbouring crosspoints.
     """
-    exits = np.full(conductance.shape[-1], inf) if grid.exit is None else grid.exit
+    exits = np.full_like(grid.column[..., 0, :], inf) if grid.exit is None else grid.exit
     into_row = into_column = conductance
-    below = np.concatenate([grid.column[1:], exits[None]])
+    below = np.concatenate([grid.column[..., 1:, :], exits[..., None, :]], axis=-2)
     stiff = conductance.max(initial=0.0) > min(below.min(initial=inf), grid.row.min(initial=inf))
     if stiff:
         along_column, along_row = below.copy(), grid.row.copy()
-        along_column[1:] += below[:-1]
-        along_row[:, :-1] += grid.row[:, 1:]
+        along_column[..., 1:, :] += below[..., :-1, :]
+        along_row[..., :-1] += grid.row[..., 1:]
         into_row = series_conductance(conductance, along_column)
         into_column = series_conductance(conductance, along_row)
     transposed = np.swapaxes(into_column, -1, -2)[..., ::-1]
-    return np.sqrt(_chain(into_row, grid.row, stiff)), np.sqrt(_chain(transposed, below[::-1].T, stiff))
+    along = np.swapaxes(below, -1, -2)[..., ::-1]
+    return np.sqrt(_chain(into_row, grid.row, stiff)), np.sqrt(_chain(transposed, along, stiff))
 
 
 def _chain(shunt: FloatArray, series: FloatArray, stiff: bool) -> FloatArray:
@@ -77,12 +78,12 @@ def _chain(shunt: FloatArray, series: FloatArray, stiff: bool) -> FloatArray:
     is then larger, and cheaper to compute.
     """
     if not stiff:
-        lumped = series_conductance(series[:, 0], shunt.sum(axis=-1))
+        lumped = series_conductance(series[..., 0], shunt.sum(axis=-1))
         if np.isfinite(lumped).all():
             return lumped
     admittance = np.zeros(shunt.shape[:-1])
     for place in reversed(range(shunt.shape[-1])):
-        admittance = series_conductance(series[:, place], admittance + shunt[..., place])
+        admittance = series_conductance(series[..., place], admittance + shunt[..., place])
     return admittance
 
 

@@ -17,9 +17,7 @@ import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
 from ._elimination import ULP, Rounded, eliminate_leading
-from ._ports import IDEAL_WIRE, LARGEST_PART
-
-_LEAF = 48  # largest number of branches that are assembled without halving
+from ._tuning import IDEAL_WIRE, LARGEST_PART, MOST_BRANCHES
 
 
 class Element(NamedTuple):
@@ -99,7 +97,7 @@ def reduce(network: Network) -> Rounded:
     def part(items: IntArray) -> _Part:
         """Reduce some items, recursively by halves. Items below ``branches`` are branches, the others elements."""
         among = items[items >= branches] - branches
-        if len(items) == 1 or (len(items) <= _LEAF and len(among) <= 1):
+        if len(items) == 1 or (len(items) <= MOST_BRANCHES and len(among) <= 1):
             return without_inner(leaf(items[items < branches], [elements[k] for k in among]))
         axis = int(np.argmax(np.ptp(middle[items], axis=0)))
         order = items[np.argsort(middle[items, axis], kind="stable")]
@@ -134,8 +132,8 @@ def reduce(network: Network) -> Rounded:
 def _capped(network: Network) -> tuple[FloatArray, list[Element]]:
     """Replace infinite conductances by large finite ones.
 
-    A short exceeds every finite conductance by the factor :data:`._ports.IDEAL_WIRE`, and an ideal wire exceeds a short
-    by the same factor.
+    A short exceeds every finite conductance by the factor :data:`._tuning.IDEAL_WIRE`, and an ideal wire exceeds a
+    short by the same factor.
 
     Returns:
         (..., branches) S, and the elements.

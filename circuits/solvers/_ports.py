@@ -21,10 +21,7 @@ import numpy as np
 from ...common.arrays import BoolArray, FloatArray
 from ._dissection import dissect
 from ._elimination import ULP, Rounded, eliminate_leading, inverted
-
-IDEAL_WIRE = 1e40  # 0 ohm, relative to the largest conductance beside it; errors are far below rounding
-LARGEST_PART = 1e14  # S; largest conductance of a part outside the grid (load, lead, Rref/(1 + A))
-_AS_GOOD_AS_SHORT = 1e200  # S; larger conductances count as shorts, since their products could overflow
+from ._tuning import IDEAL_WIRE, LARGEST_PART, LEAST_OHM
 
 
 @dataclass(frozen=True)
@@ -34,6 +31,7 @@ class Lines:
     ``row`` (rows, columns): ``row[i, 0]`` is the lead of row i, ``row[i, j]`` its segment from crosspoint j-1 to j.
     ``column`` (rows, columns): ``column[i, j]`` is the segment of column j from row i-1 to i; ``column[0]`` is unused.
     ``exit`` (columns,): wire between the last crosspoint of each column and its terminal; None if all are ideal.
+    Lines of each grid of a batch of its own have its axis ahead.
     """
 
     row: FloatArray
@@ -46,7 +44,7 @@ def port_conductances(conductance: FloatArray, lines: Lines) -> Rounded:
 
     Args:
         conductance: (..., rows, columns) S of the cells, >= 0; inf is a short.
-        lines: the wires, common to all grids of the batch.
+        lines: the wires, common to all grids of the batch, or of each.
 
     Returns:
         (..., N + M, N + M) S between the ports, zero on the diagonal, and a bound (...,) on the relative error of each
@@ -83,12 +81,12 @@ def _ports(conductance: FloatArray, lines: Lines, *, transfer_only: bool) -> Rou
 def _reversed_rows(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArray, FloatArray]:
     """As :func:`capped`, rows in reverse order: nested dissection expects the columns' terminals at the top."""
     cells, row, column = capped(conductance, lines)
-    return cells[:, ::-1], row[::-1], column
+    return cells[:, ::-1], row[..., ::-1, :], column
 
 
 def has_ideal_lines(lines: Lines) -> bool:
     """Whether all segments between crosspoints have zero resistance."""
-    return bool(np.isinf(lines.row[:, 1:]).all() and np.isinf(lines.column[1:]).all())
+    return bool(np.isinf(lines.row[..., 1:]).all() and np.isinf(lines.column[..., 1:, :]).all())
 
 
 def capped(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -98,8 +96,8 @@ def capped(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArra
         Conductances in S of the cells, of the rows' wires, and of the columns' wires in order from the exits.
 
     """
-    exits = np.full(conductance.shape[-1], np.inf) if lines.exit is None else lines.exit
-    column = np.concatenate([exits[None], lines.column[:0:-1]])
+    exits = np.full_like(lines.column[..., 0, :], np.inf) if lines.exit is None else lines.exit
+    column = np.concatenate([exits[..., None, :], lines.column[..., :0:-1, :]], axis=-2)
     parts = conductance, lines.row, column
     largest = [float(part.max(initial=0.0)) for part in parts]
     short = IDEAL_WIRE * max(_largest_finite(part, peak) for part, peak in zip(parts, largest, strict=True))
@@ -126,7 +124,7 @@ def _ideal_lines(cells: FloatArray, row: FloatArray, column: FloatArray, exits: 
     network[:, :rows, middle] = to_rows
     network[:, middle, :rows] = np.swapaxes(to_rows, 1, 2)
     network[:, middle, middle] = across
-    network[:, far, near] = network[:, near, far] = column[0, ended]
+    network[:, far, near] = network[:, near, far] = column[..., 0, :][..., ended]
     stay = np.arange(rows + columns)
     stay[near] = far
     order = np.concatenate([near, stay])
@@ -144,7 +142,7 @@ def _ideal_transfer(cells: FloatArray, row: FloatArray, column: FloatArray, exit
     if not ended.any():
         return Rounded(to_rows, relative)
     to_columns = np.where(ended, 0.0, across[:, ended])
-    to_columns[:, np.arange(ended.sum()), np.flatnonzero(ended)] = column[0, ended]
+    to_columns[:, np.arange(ended.sum()), np.flatnonzero(ended)] = column[..., 0, :][..., ended]
     near_to_rows = to_rows[..., ended]
     outside = near_to_rows.sum(axis=1) + to_columns.sum(axis=-1)
     inverse, eliminated = inverted(across[:, ended][..., ended], outside, rows + columns)
@@ -163,22 +161,23 @@ def _without_rows(cells: FloatArray, row: FloatArray) -> tuple[FloatArray, Float
 
     """
     frames, rows, columns = cells.shape
-    lead = row[:, 0]
+    lead = row[..., 0]
     total = lead + cells.sum(axis=-1)
     total[total == 0] = 1.0
     share = cells / total[..., None]
     across = np.swapaxes(cells, 1, 2) @ share
     np.einsum("...ii->...i", across)[...] = 0.0
-    return lead[:, None] * share, across, np.full(frames, ULP * (rows + columns + 4.0))
+    return lead[..., None] * share, across, np.full(frames, ULP * (rows + columns + 4.0))
 
 
 def _ended(exits: FloatArray | None, columns: int) -> BoolArray:
-    """(columns,) whether a column has a resistive exit."""
-    return np.zeros(columns, dtype=np.bool_) if exits is None else np.isfinite(exits)
+    """(columns,) whether a column has a resistive exit, in any grid."""
+    exits = np.full((1, columns), np.inf) if exits is None else exits.reshape(-1, columns)
+    return np.asarray(np.isfinite(exits).any(axis=0))
 
 
 def _largest_finite(values: FloatArray, largest: float) -> float:
     """Largest conductance in S apart from shorts, at least :data:`LARGEST_PART`; ``largest`` is the largest value."""
-    if largest < _AS_GOOD_AS_SHORT:
+    if largest < 1.0 / LEAST_OHM:
         return max(largest, LARGEST_PART)
-    return float(np.max(values, where=values < _AS_GOOD_AS_SHORT, initial=LARGEST_PART))
+    return float(np.max(values, where=values < 1.0 / LEAST_OHM, initial=LARGEST_PART))

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...common.arrays import FloatArray
-
-LEAST_OHM = 1e-60
-"""of a wire that is not ideal: products of larger conductances could overflow"""
+from ._tuning import LEAST_OHM
 
 
 def siemens(ohms: FloatArray | float) -> FloatArray:

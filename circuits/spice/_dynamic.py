@@ -32,6 +32,7 @@ from ...errors import InputError, SolverError
 from .._amplifier_model import AmplifierModel
 from .._board import Board
 from .._design import Design
+from .._tuning import POINTS_PER_DECADE, SHARPEST_EDGE_S
 from ._ngspice import simulate
 
 LARGEST_GAIN = 1e7
@@ -39,10 +40,6 @@ LARGEST_GAIN = 1e7
 LEAST_OHM = 1e-6
 """Wires without resistance are written as this."""
 ANALYSES = ("transient", "noise", "loop gain")
-SHARPEST_EDGE_S = 1e-9
-"""of the selected row, if a macro-model has to follow: faster edges than any board's stop the convergence of some"""
-POINTS_PER_DECADE = 200
-"""of the loop gain"""
 
 
 def dynamic_netlist(

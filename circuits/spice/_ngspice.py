@@ -20,12 +20,8 @@ from numpy.typing import NDArray
 from ...common.files import size
 from ...common.system import POSIX
 from ...errors import MissingExtra, SolverError
+from .._tuning import LEAST_LIMIT_S, LIMIT_PER_CARD_S, MOST_LIMIT_S, WAITING
 
-LEAST_LIMIT_S, LIMIT_PER_CARD_S, MOST_LIMIT_S = 20, 0.05, 1800
-"""of processor time for one run of the command, as a constant and by cards of the netlist, and whatever it says; a
-macro-model may find no convergence for ever"""
-_WAITING = 20.0
-"""ratio of time to processor time on a busy machine, beyond which a run is given up all the same"""
 MOST_MEMORY = 2 * 2**30
 """bytes of address space of the command; a netlist of 128 x 128 cells with segments takes 0.13 GB"""
 MOST_OUTPUT = 2**30
@@ -88,11 +84,11 @@ def _run(text: str, *options: str, folder: str) -> tuple[str, str]:
                 stdout=to_out,
                 stderr=to_errors,
                 check=False,
-                timeout=_WAITING * limit_s,
+                timeout=WAITING * limit_s,
                 cwd=folder,
             )
     except subprocess.TimeoutExpired as error:
-        raise SolverError(f"ngspice found no result within {_WAITING * limit_s:g} s") from error
+        raise SolverError(f"ngspice found no result within {WAITING * limit_s:g} s") from error
     said = []
     for path in (out, errors):
         with path.open("rb") as file:

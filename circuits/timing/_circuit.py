@@ -28,15 +28,10 @@ from ...errors import InputError
 from .._board import Board
 from .._design import Design
 from .._grid import exact_ports
-from .._population import Boards, column_ends
+from .._parts import of_columns
+from .._population import Boards
+from .._tuning import LEAK, WORST_CONDITION
 from ..readouts import CIRCUITS, one_driven, terminate
-
-_WORST_CONDITION = 1e8
-"""largest condition number of the eigenvectors; the modal form then still has eight correct digits"""
-ROUNDING, NEGLIGIBLE = 1e-9, 1e-3
-"""relative: to which a number in time is known; and the share of a sum that may be left out"""
-_LEAK = 1e-18
-"""of the largest conductance: gives a settled voltage to nodes that nothing is connected to"""
 
 
 class Circuit(NamedTuple):
@@ -73,18 +68,18 @@ class Circuit(NamedTuple):
     """(B,) whether ``left`` and ``right`` are accurate; if not, they are those of the states"""
 
     @classmethod
-    def of(cls, boards: Boards, board: Board, network: FloatArray, loaded: IntArray, taps: Sequence[int]) -> Circuit:
+    def of(cls, networks: ColumnNetworks, group: int, loaded: IntArray, taps: Sequence[int]) -> Circuit:
         """The circuits of one state of the switches.
 
         Args:
-            boards: their part values, in line coordinates.
-            board: which parts there are: amplifiers that hold their columns, or loads.
-            network: (B, M, M) S, the grid of each board as the column ends see it.
+            networks: boards with amplifiers that hold their columns, or with loads.
+            group: number of the grid that the column ends see.
             loaded: columns at an amplifier, or of a divider at their loads.
             taps: (K,) for each sampling capacitor the unknown that it is connected to (a column end, or M plus the
                 number of an amplifier); -1: none.
 
         """
+        boards, board, network = networks.boards, networks.board, networks.conductance[:, group]
         adc, columns = board.adc, network.shape[-1]
         amplified = loaded if board.circuit.virtual_ground else loaded[:0]
         idle = np.setdiff1d(np.arange(columns), loaded)
@@ -92,9 +87,8 @@ class Circuit(NamedTuple):
         grounded_ends = idle if board.idle_columns == "ground" else idle[:0]
         count, size, batch = len(amplified), columns + len(amplified) + len(taps), len(network)
         outputs, samples = np.arange(columns, columns + count), np.arange(columns + count, size)
-        slack = 1.0 / boards.open_loop_gain[:, amplified]
-        conductance = 1.0 / boards.reference_resistance
-        offset, bias = boards.offset_voltage[:, amplified], boards.bias_current[:, amplified]
+        slack, conductance = 1.0 / of_columns(board.gain)[:, amplified], 1.0 / of_columns(board.reference)
+        offset, bias = (of_columns(part)[:, amplified] for part in (board.offset, board.bias))
         lag = 1.0 / (2.0 * pi * boards.gain_bandwidth)  # 0: the amplifier follows at once
         ohms, farads = (adc.switch_resistance, adc.sampling_capacitance) if adc else (0.0, 0.0)
         line, across = boards.column_capacitance, boards.feedback_capacitance
@@ -243,7 +237,7 @@ def _modes(
         nothing = np.zeros(matrix.shape[:2], dtype=np.complex128)
         return nothing, back.astype(np.complex128), into.astype(np.complex128), np.ones(len(matrix), dtype=np.bool_)
     rates, vectors = np.linalg.eig(matrix)
-    is_modal = np.linalg.cond(vectors) < _WORST_CONDITION
+    is_modal = np.linalg.cond(vectors) < WORST_CONDITION
     left, right = back.astype(np.complex128), into.astype(np.complex128)
     left[is_modal] = back[is_modal] @ vectors[is_modal]
     right[is_modal] = np.linalg.solve(vectors[is_modal], into[is_modal])
@@ -253,6 +247,9 @@ def _modes(
 class ColumnNetworks(NamedTuple):
     """The grids of B boards as the column ends see them while each row is selected, leads included and loads not."""
 
+    boards: Boards
+    board: Board
+    """the stack that they make"""
     conductance: FloatArray
     """(B, G, M, M) S; G is 1 where all rows see the same network, else N"""
     current: FloatArray
@@ -260,42 +257,22 @@ class ColumnNetworks(NamedTuple):
 
     @classmethod
     def of(cls, design: Design, boards: Boards, cells: FloatArray) -> ColumnNetworks:
-        """Networks of boards in line coordinates with cells (B, N, M) in ohm."""
-        together = column_ends(design, boards, cells)
-        if together is not None and all(np.isfinite(part).all() for part in together):
-            found = cls(*together)
-        else:
-            ours = boards.transposed if design.board.transposed else boards
-            each = [_network(ours.design(design, b).board, frame) for b, frame in enumerate(cells)]
-            found = cls(*(np.stack(parts) for parts in zip(*each, strict=True)))
-        every = np.arange(found.conductance.shape[-1])
-        leak = np.maximum(found.conductance.max(axis=(1, 2, 3)), 1.0 / boards.reference_resistance.max(axis=1))
-        found.conductance[..., every, every] += _LEAK * leak[:, None, None]
-        return found
-
-
-def _network(board: Board, cells: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """As :meth:`ColumnNetworks.of` for one board of any kind."""
-    rows, columns = board.shape
-    network = terminate(exact_ports(board, cells).value, rows + board.pulled, board.column_lead).value
-    every = np.arange(columns)
-
-    def conductance(between: FloatArray, to_rows: FloatArray) -> FloatArray:
-        matrix = -between
-        matrix[every, every] = to_rows + between.sum(axis=1) - between[every, every]
-        return matrix
-
-    if not board.floating:
-        grounded = conductance(network[rows:, rows:], network[rows:, :rows].sum(axis=1))
-        return grounded[None], board.drive * network[:rows, rows:]
-    found, currents = [], []
-    for alone, _ in one_driven(network, rows):
-        grounded_ends = len(alone) - columns  # the selected row, and the reference behind pull-downs
-        found.append(
-            conductance(alone[grounded_ends:, grounded_ends:], alone[:grounded_ends, grounded_ends:].sum(axis=0))
-        )
-        currents.append(board.drive * alone[0, grounded_ends:])
-    return np.stack(found), np.stack(currents)
+        """Networks of boards with cells (B, rows, columns) in ohm."""
+        board = boards.board(design)
+        rows, columns = board.shape
+        network = terminate(
+            exact_ports(board, board.transpose(cells)).value, rows + board.pulled, board.column_lead
+        ).value
+        # Where rows float, the selected row and the reference behind pull-downs are ahead of the columns.
+        steps = [alone for _, alone, _ in one_driven(network, rows)] if board.floating else [network]
+        ends = slice(-columns, None)
+        found = np.stack([-alone[..., ends, ends] for alone in steps], axis=1)
+        totals = np.stack([alone[..., ends, :].sum(axis=-1) for alone in steps], axis=1)
+        drivers = [alone[..., : 1 if board.floating else rows, ends] for alone in steps]
+        every = np.arange(columns)
+        leak = np.maximum(totals.max(axis=(1, 2)), 1.0 / board.reference.max(axis=(1, 2)))
+        found[..., every, every] += totals + LEAK * leak[:, None, None]
+        return cls(boards, board, found, board.drive * np.concatenate(drivers, axis=1))
 
 
 def sampler_delay(board: Board) -> float:

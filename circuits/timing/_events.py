@@ -28,13 +28,12 @@ from ...errors import InputError, SolverError
 from .._design import Design
 from .._exact import read_exactly
 from .._grid import exact_ports
+from .._parts import LEAST_SHORT_OHM
+from .._tuning import NEGLIGIBLE, SLOWEST, WIDEST_HZ
 from ..ends import GROUND, LINE, Card, Event, Network, Scan, inverted_nodes, step_system
-from ._circuit import NEGLIGIBLE
 
-CONTACT_OHM = 1e-3
+CONTACT_OHM = LEAST_SHORT_OHM
 """in series with each capacitor, and of the switch that discharges the sampled node: far below any part of a board"""
-_WIDE_HZ = 1e9  # white noise in this bandwidth is that of contacts, if it is a negligible share of the variance
-_LEAST_RATE = 1e-6  # 1/s, of a capacitor that nothing discharges: gives its noise a finite size
 State = tuple[str, str]
 """name of an end and of a part; a column's line has the end ``line J``, the converter the end ``adc``"""
 
@@ -185,7 +184,7 @@ class EventScan:
         """V^2 of the mean of ``count`` conversions, by noise."""
         from scipy.linalg import expm, solve_continuous_lyapunov
 
-        rate = phase.rate - _LEAST_RATE * np.eye(len(phase.rate))
+        rate = phase.rate - SLOWEST * np.eye(len(phase.rate))
         covariance = solve_continuous_lyapunov(rate, -phase.noise)
         later, carried = expm(rate * self.conversion_time), np.eye(len(rate))
         total = 0.0
@@ -193,7 +192,7 @@ class EventScan:
             share = (count - lag) * (2 if lag else 1) / count**2
             total += share * float(phase.weights @ carried @ covariance @ phase.weights)
             carried = later @ carried
-        if phase.white * _WIDE_HZ > NEGLIGIBLE * total:
+        if phase.white * WIDEST_HZ > NEGLIGIBLE * total:
             raise InputError(
                 "noise of the resistors has no bandwidth limit and so no finite size; give adc.sampling_capacitance"
             )

@@ -21,16 +21,14 @@ from numpy.typing import ArrayLike
 from ...common.arrays import FloatArray, IntArray
 from ...common.constants import BOLTZMANN
 from ...errors import InputError, SolverError
-from .._board import Board
 from .._design import Design
 from .._population import Boards
+from .._tuning import LEAST_SIEMENS
 from ..ends import Scan
 from ._circuit import Circuit, ColumnNetworks, require_amplifiers, sampler_delay
 from ._events import EventScan
 
 _ORIGINS = ("amplifier voltage", "amplifier current", "grid", "reference resistor")
-_LEAST_INTENSITY = 1e-16
-"""S, of the grid: less is the conductance of nodes that nothing is connected to"""
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,7 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
             raise InputError(str(error)) from error
     if board.circuit.has_amplifiers and not board.circuit.virtual_ground:
         require_amplifiers(board)
-    cells = board.transpose(design.resistance(resistance))
+    cells = design.resistance(resistance)
     part, adc = design.readout, design.adc
     parts: dict[str, FloatArray] = {}
     thermal_energy = BOLTZMANN * part.temperature  # k T, in J
@@ -138,27 +136,23 @@ def _amplifier_noise(design: Design, cells: FloatArray, thermal_energy: float) -
     columns = board.shape[1]
     every = np.arange(columns)
     readings = every[:, None] if board.multiplexed else every[None]
-    boards = Boards.of(design)
-    ours = boards.transposed if board.transposed else boards
     parts: dict[str, FloatArray] = {}
-    networks = ColumnNetworks.of(design, ours, cells[None]).conductance
-    for group in range(networks.shape[1]):
-        rows = slice(None) if networks.shape[1] == 1 else group
+    networks = ColumnNetworks.of(design, Boards.of(design), cells[None])
+    groups = networks.conductance.shape[1]
+    for group in range(groups):
+        rows = slice(None) if groups == 1 else group
         for loaded in readings:
-            for name, variance in _variances(ours, board, networks[:, group], loaded, thermal_energy).items():
+            for name, variance in _variances(networks, group, loaded, thermal_energy).items():
                 parts.setdefault(name, np.zeros(board.shape))[rows, loaded] = np.sqrt(variance)
     return parts
 
 
-def _variances(
-    boards: Boards, board: Board, network: FloatArray, loaded: IntArray, thermal_energy: float
-) -> dict[str, FloatArray]:
+def _variances(networks: ColumnNetworks, group: int, loaded: IntArray, thermal_energy: float) -> dict[str, FloatArray]:
     """Variances in V^2 of the readings of the columns ``loaded`` (A,) at amplifiers, by the name of the noise.
 
     Args:
-        boards: amplifiers and resistors of one board, in line coordinates.
-        board: which parts there are.
-        network: (1, M, M) S, the grid as the column ends see it.
+        networks: of one board.
+        group: number of the grid that the column ends see.
         loaded: columns at an amplifier.
         thermal_energy: k T in J.
 
@@ -168,21 +162,22 @@ def _variances(
     """
     from scipy.linalg import solve_continuous_lyapunov
 
-    part, columns, count = board.readout, network.shape[-1], len(loaded)
+    board, network = networks.board, networks.conductance[0, group]
+    part, columns, count = board.readout, len(network), len(loaded)
     outputs = np.arange(columns, columns + count)
     samples = count if sampler_delay(board) else 0
-    circuit = Circuit.of(boards, board, network, loaded, outputs[:samples].tolist())
+    circuit = Circuit.of(networks, group, loaded, outputs[:samples].tolist())
     read = circuit.rest.shape[1] - count + np.arange(count)  # the capacitors, or the outputs
     at_loads = np.arange(columns) if board.idle_columns == "load" else loaded
     # The intensity of white noise is its two-sided density, half the one-sided density.
     intensities = {name: np.zeros(circuit.entry.shape[2] * np.array([1, 1])) for name in _ORIGINS}
     intensities["amplifier voltage"][outputs, outputs] = part.voltage_noise**2 / 2
     intensities["amplifier current"][loaded, loaded] = part.current_noise**2 / 2
-    intensities["grid"][:columns, :columns] = 2 * thermal_energy * network[0]
-    intensities["reference resistor"][at_loads, at_loads] = 2 * thermal_energy / board.reference[at_loads]
+    intensities["grid"][:columns, :columns] = 2 * thermal_energy * network
+    intensities["reference resistor"][at_loads, at_loads] = 2 * thermal_energy / board.reference[0, 0, at_loads]
     found = {}
     for name, intensity in intensities.items():
-        if not (np.abs(intensity) > _LEAST_INTENSITY * thermal_energy).any():
+        if not (np.abs(intensity) > LEAST_SIEMENS * thermal_energy).any():
             continue
         if (circuit.feedthrough[0, read] @ intensity).any():
             raise InputError(

@@ -24,12 +24,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ...common.arrays import ComplexArray, FloatArray, IntArray
+from .._board import Board
 from .._design import Design
 from .._population import Boards
-from ._circuit import NEGLIGIBLE, ROUNDING, Circuit, ColumnNetworks, sampler_delay
-
-_LONG = 60.0
-"""time constants after which a deviation is below rounding"""
+from .._tuning import LONG, NEGLIGIBLE, ROUNDING
+from ._circuit import Circuit, ColumnNetworks, sampler_delay
 
 
 class Deviations(NamedTuple):
@@ -90,37 +89,84 @@ class SwitchState(NamedTuple):
 
     loaded: IntArray
     """columns that end in their loads, or in an amplifier"""
-    connected: int | None
-    """column that a shared sampling capacitor is connected to"""
+    taps: tuple[int, ...]
+    """of the sampling capacitors, as :meth:`.Circuit.of` has them"""
+    waits: bool
+    """whether the phase has a share of the waiting time; else it takes an acquisition of a shared capacitor"""
+    nodes: IntArray
+    """(S,) nodes of the circuit that take part: of capacitors on all outputs the connected one"""
+    stored: int
+    """the first of them that is a capacitor"""
     read: IntArray
     """columns that are read at the end of the phase"""
+    at: IntArray
+    """the node whose voltage is then converted, of each of them, among those that take part"""
+
+    @classmethod
+    def of_step(cls, board: Board) -> Iterator[SwitchState]:
+        """The states in the order of a step."""
+        adc, amplified, columns = board.adc, board.circuit.virtual_ground, board.shape[1]
+        shared = bool(adc and adc.acquisition_time)
+        one_by_one = board.circuit.columns_one_by_one(board)
+        loads = 1 if one_by_one else columns
+        outputs = columns + (amplified and one_by_one)  # behind the input of an amplifier that goes round
+        stored = outputs + (loads if amplified else 0)
+        samples = sampler_delay(board) > 0
+        if not amplified and adc is not None:  # without a resistance a capacitor of its own joins its column
+            samples = bool(adc.sampling_capacitance and (shared or adc.switch_resistance))
+
+        def state(loaded: IntArray, connected: int | None, read: IntArray) -> SwitchState:
+            if not samples:
+                taps: tuple[int, ...] = ()
+            elif shared and connected is None:
+                taps = (-1,)
+            elif amplified:  # capacitors do not load amplifiers: one circuit with one on each output serves all columns
+                taps = tuple(range(columns, columns + loads))
+            else:
+                taps = tuple(range(columns)) if connected is None else (connected,)
+            one = shared and len(taps) > 1 and connected is not None
+            capacitors = np.array([connected]) if one else np.arange(len(taps))
+            first = stored if len(capacitors) else outputs if amplified else 0
+            single = len(capacitors) == 1 or (amplified and loads == 1 and not len(capacitors))
+            nodes = np.append(np.arange(stored), stored + capacitors)
+            waits = connected is None
+            return cls(loaded, taps, waits, nodes, stored, read, first + (np.zeros_like(read) if single else read))
+
+        every = np.arange(columns)
+        if not one_by_one:
+            yield state(every, None, every[:0] if shared else every)
+        for column in (every[::-1] if board.transposed else every).tolist() if one_by_one or shared else ():
+            only = every[[column]]
+            if one_by_one:
+                yield state(only, None, every[:0] if shared else only)
+            if shared:
+                yield state(only if one_by_one else every, column, only)
 
 
 class RepeatedScan:
     """Prepared once for B boards, then evaluated for any row period."""
 
     def __init__(self, design: Design, boards: Boards, cells: FloatArray) -> None:
-        """For boards in line coordinates with cells (B, N, M) in ohm: amplifiers that hold their columns, or loads."""
+        """For boards with cells (B, rows, columns) in ohm: amplifiers that hold their columns, or loads."""
         self._board = board = design.board
         adc, columns = board.adc, board.shape[1]
         self._acquisition = adc.acquisition_time if adc else 0.0
         self.briefest = self._acquisition * columns
         """shortest row period in s: the acquisitions of all columns, if one sampling capacitor serves them"""
-        self._one_by_one = board.circuit.columns_one_by_one(board)
-        self._states = list(self._possible_states())
+        self._share = columns if board.circuit.columns_one_by_one(board) else 1
+        """parts of a step's waiting time that columns have in turn"""
+        self._states = list(SwitchState.of_step(board))
         networks = ColumnNetworks.of(design, boards, cells)
-        self._groups = [self._phases(boards, networks.conductance[:, g]) for g in range(networks.conductance.shape[1])]
+        self._groups = [self._phases(networks, group) for group in range(networks.conductance.shape[1])]
         """phases of each row's step, or those that all rows share"""
-        rows = range(board.shape[0])
-        self._order = (
-            list(reversed(rows)) if board.transposed else list(rows)
-        )  # a scan goes by the array's line numbers
+        # A scan goes by the array's line numbers.
+        self._order = np.arange(board.shape[0])[:: -1 if board.transposed else 1].tolist()
         current = networks.current.swapaxes(1, 2)
         shared = len(self._groups) == 1
         of_group = [current if shared else current[..., [row]] for row in range(len(self._groups))]
         goals = [
-            [phases[number].settled(applied)[:, nodes] for phases, applied in zip(self._groups, of_group, strict=True)]
-            for number, nodes in enumerate(self._nodes)
+            [each[n].settled(applied)[:, state.nodes] for each, applied in zip(self._groups, of_group, strict=True)]
+            for n, state in enumerate(self._states)
         ]
         self._goals = np.stack([np.concatenate(parts, axis=-1) for parts in goals])
         """(phases, B, S, N) V, settled"""
@@ -131,7 +177,7 @@ class RepeatedScan:
         found = np.empty((self._goals.shape[1], *self._board.shape))
         for number, state in enumerate(self._states):
             if len(state.read):
-                found[:, :, state.read] = self._goals[number][:, self._read_at(state.read)].swapaxes(1, 2)
+                found[:, :, state.read] = self._goals[number][:, state.at].swapaxes(1, 2)
         return found
 
     def _group(self, row: int) -> int:
@@ -140,7 +186,7 @@ class RepeatedScan:
     def deviations(self, period: FloatArray | float) -> Deviations:
         """Deviations of the samples if each row is selected for ``period`` s (B,), at least :attr:`briefest`."""
         waiting = (np.asarray(period, dtype=np.float64) - self.briefest) / self._share
-        seconds = [waiting if state.connected is None else self._acquisition for state in self._states]
+        seconds = [waiting if state.waits else self._acquisition for state in self._states]
         order, last = self._order, self._goals[-1]
         carried = [self._propagators(phases, seconds) for phases in self._groups]
         members = [[row for row in order if self._group(row) == g] for g in range(len(carried))]
@@ -151,7 +197,7 @@ class RepeatedScan:
         # deviations through a row; and the fixed point of a whole frame.
         added = np.empty_like(last)
         for propagators, rows in zip(carried, members, strict=True):
-            *_, (_, _, ended) = self._run(propagators, rows, before[..., rows])
+            *_, (_, ended) = self._run(propagators, rows, before[..., rows])
             added[..., rows] = ended
         products = [reduce(lambda before, next: next @ before, each) for each in carried]
         through = np.broadcast_to(np.eye(nodes), (batch, nodes, nodes))
@@ -166,41 +212,43 @@ class RepeatedScan:
             deviation = products[self._group(row)] @ deviation + added[..., [row]]
         repeated, from_rest = np.empty((2, batch, *self._board.shape))
         for g, rows in enumerate(members):
-            at_rest = np.broadcast_to(self._groups[g][0].rest[:, self._nodes[0], None], (batch, nodes, len(rows)))
+            at_rest = np.broadcast_to(
+                self._groups[g][0].rest[:, self._states[0].nodes, None], (batch, nodes, len(rows))
+            )
             both = np.concatenate([start[..., rows], at_rest], axis=-1)
-            for state, at, ended in self._run(carried[g], [*rows, *rows], both, resting=len(rows)):
+            for state, ended in self._run(carried[g], [*rows, *rows], both, resting=len(rows)):
                 for scan, part in zip((repeated, from_rest), np.split(ended, 2, axis=-1), strict=True):
-                    scan[:, np.array(rows)[:, None], state.read] = part[:, at].swapaxes(1, 2)
+                    scan[:, np.array(rows)[:, None], state.read] = part[:, state.at].swapaxes(1, 2)
         return Deviations(repeated, from_rest)
 
     def _propagators(self, phases: list[Circuit], seconds: list[FloatArray | float]) -> list[FloatArray]:
         """Propagator (B, S, S) of the deviations through each phase of a step."""
         known: dict[tuple[int, bool], FloatArray] = {}
         for phase, state, duration in zip(phases, self._states, seconds, strict=True):
-            if (key := (id(phase), state.connected is None)) not in known:
+            if (key := (id(phase), state.waits)) not in known:
                 known[key] = phase.after(np.eye(phase.into.shape[-1])[None], duration)
         return [
-            known[id(phase), state.connected is None][:, nodes[:, None], nodes]
-            for phase, state, nodes in zip(phases, self._states, self._nodes, strict=True)
+            known[id(phase), state.waits][:, state.nodes[:, None], state.nodes]
+            for phase, state in zip(phases, self._states, strict=True)
         ]
 
     def _run(
         self, propagators: list[FloatArray], rows: list[int], volts: FloatArray, resting: int = 0
-    ) -> Iterator[tuple[SwitchState, IntArray, FloatArray]]:
+    ) -> Iterator[tuple[SwitchState, FloatArray]]:
         """Carry node voltages (B, S, R) at the beginning of some rows' steps through the phases.
 
         A shared capacitor starts each conversion of the last ``resting`` of them at the reference.
 
         Yields:
-            For each phase its state, the nodes that are read, and the deviations (B, S, R) at its end.
+            For each phase its state, and the deviations (B, S, R) at its end.
 
         """
         for number, (state, propagator) in enumerate(zip(self._states, propagators, strict=True)):
             goals = self._goals[number][..., rows]
-            if state.connected is not None and resting:
-                volts[:, self._stored :, -resting:] = 0.0
+            if not state.waits and resting:
+                volts[:, state.stored :, -resting:] = 0.0
             deviation = propagator @ (volts - goals)
-            yield state, self._read_at(state.read), deviation
+            yield state, deviation
             volts = goals + deviation
 
     @cached_property
@@ -210,103 +258,29 @@ class RepeatedScan:
         if not self._acquisition or not modes.rate.shape[-1]:
             nothing = np.zeros((self._goals.shape[1], *self._board.shape))
             return Deviations(nothing, nothing)
-        return self.deviations(self.briefest + _LONG / modes.slowest)
+        return self.deviations(self.briefest + LONG / modes.slowest)
 
     def modes(self) -> Modes:
         """Modes of :meth:`deviations` after the waiting time, which is the row period less :attr:`briefest`."""
         largest = 2.0 * np.abs(self._goals).max(axis=(0, 3))  # (B, S)
         found: dict[int, tuple[ComplexArray, FloatArray]] = {}
         for phases in self._groups:
-            for phase, state, nodes in zip(phases, self._states, self._nodes, strict=True):
-                read = np.abs(phase.left[:, nodes[self._read_at(state.read)]]).max(axis=1, initial=0.0)
-                size = read * (np.abs(phase.right[:, :, nodes]) @ largest[..., None])[..., 0]
+            for phase, state in zip(phases, self._states, strict=True):
+                read = np.abs(phase.left[:, state.nodes[state.at]]).max(axis=1, initial=0.0)
+                size = read * (np.abs(phase.right[:, :, state.nodes]) @ largest[..., None])[..., 0]
                 found[id(phase)] = phase.rates, np.maximum(size, found.get(id(phase), (size, size))[1])
         rate, size = (np.concatenate(part, axis=-1) for part in zip(*found.values(), strict=True))
         # Slower modes are those of nodes that keep their charge.
         alive = (rate.real > ROUNDING * rate.real.max(axis=-1, keepdims=True, initial=0.0)) & (size > 0.0)
         return Modes(np.where(alive, -rate / self._share, -np.inf), np.where(alive, size, 0.0))
 
-    def _possible_states(self) -> Iterator[SwitchState]:
-        """The states of the switches in the order of a step."""
-        every = np.arange(self._board.shape[1])
-        none = every[:0]
-        if not self._one_by_one:
-            yield SwitchState(every, None, none if self._acquisition else every)
-        turn = every[::-1] if self._board.transposed else every
-        for column in turn.tolist() if self._one_by_one or self._acquisition else ():
-            only = every[[column]]
-            loaded = only if self._one_by_one else every
-            if self._one_by_one:
-                yield SwitchState(loaded, None, none if self._acquisition else only)
-            if self._acquisition:
-                yield SwitchState(loaded, column, only)
-
-    @property
-    def _share(self) -> int:
-        """Parts of a step's waiting time that columns have in turn."""
-        return self._board.shape[1] if self._one_by_one else 1
-
-    @cached_property
-    def _stored(self) -> int:
-        """First node of a sampling capacitor."""
-        return self._first_output + (len(self._states[0].loaded) if self._board.circuit.virtual_ground else 0)
-
-    @property
-    def _first_output(self) -> int:
-        """First node of an amplifier's output."""
-        columns = self._board.shape[1]
-        goes_round = self._board.circuit.virtual_ground and len(self._states[0].loaded) < columns
-        return columns + goes_round
-
-    @cached_property
-    def _taps(self) -> list[tuple[int, ...]]:
-        """What the sampling capacitors are connected to in each state of the switches, as :meth:`.Circuit.of` has it.
-
-        Capacitors do not load amplifiers, so that one circuit with a capacitor on each output serves all columns.
-        """
-        board, adc, columns = self._board, self._board.adc, self._board.shape[1]
-        amplifiers = board.circuit.virtual_ground
-        samples = sampler_delay(board) > 0
-        if not amplifiers and adc is not None:  # without a resistance a capacitor of its own joins its column
-            samples = bool(adc.sampling_capacitance and (self._acquisition or adc.switch_resistance))
-
-        def of(state: SwitchState) -> tuple[int, ...]:
-            if not samples:
-                return ()
-            if self._acquisition and state.connected is None:
-                return (-1,)
-            if amplifiers:
-                return tuple(range(columns, columns + len(state.loaded)))
-            return tuple(range(columns)) if state.connected is None else (state.connected,)
-
-        return [of(state) for state in self._states]
-
-    @cached_property
-    def _nodes(self) -> list[IntArray]:
-        """Nodes (S,) of each phase's circuit that take part: of capacitors on all outputs the connected one."""
-        found = []
-        for state, taps in zip(self._states, self._taps, strict=True):
-            one = self._acquisition and len(taps) > 1 and state.connected is not None
-            capacitors = np.array([state.connected]) if one else np.arange(len(taps))
-            found.append(np.append(np.arange(self._stored), self._stored + capacitors))
-        return found
-
-    def _read_at(self, columns: IntArray) -> IntArray:
-        """Nodes whose voltages are converted when these columns are read."""
-        capacitors = len(self._nodes[0]) - self._stored
-        if capacitors:
-            return self._stored + (columns if capacitors > 1 else np.zeros_like(columns))
-        if not self._board.circuit.virtual_ground:
-            return columns
-        return self._first_output + (columns if len(self._states[0].loaded) > 1 else np.zeros_like(columns))
-
-    def _phases(self, boards: Boards, network: FloatArray) -> list[Circuit]:
-        """The circuits in each state of the switches, with the grids (B, M, M) in S as the column ends see them."""
+    def _phases(self, networks: ColumnNetworks, group: int) -> list[Circuit]:
+        """The circuits in each state of the switches."""
         known: dict[tuple[tuple[int, ...], tuple[int, ...]], Circuit] = {}
-        for state, taps in zip(self._states, self._taps, strict=True):
-            if (key := (tuple(state.loaded.tolist()), taps)) not in known:
-                known[key] = Circuit.of(boards, self._board, network, state.loaded, taps)
-        keys = zip((tuple(state.loaded.tolist()) for state in self._states), self._taps, strict=True)
+        keys = [(tuple(state.loaded.tolist()), state.taps) for state in self._states]
+        for key, state in zip(keys, self._states, strict=True):
+            if key not in known:
+                known[key] = Circuit.of(networks, group, state.loaded, state.taps)
         return [known[key] for key in keys]
 
 

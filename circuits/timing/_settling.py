@@ -9,6 +9,7 @@ linear. Slewing is not modelled; saturated frames are refused.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,9 +22,11 @@ from numpy.typing import ArrayLike
 from ...common.arrays import IN_CACHE, ComplexArray, FloatArray
 from ...errors import InputError, SolverError
 from .._design import Design
+from .._parts import of_columns
 from .._population import Boards
 from .._scan import scan
-from ._circuit import ROUNDING, ColumnNetworks, require_amplifiers
+from .._tuning import FULL_GAIN, MOST_CROSSINGS, NEAR, NO_GAIN, ROUNDING
+from ._circuit import ColumnNetworks, require_amplifiers
 from ._repeated_scan import Deviations, RepeatedScan
 
 
@@ -47,7 +50,7 @@ class BoardsInTime:
         self._board = board = design.board
         if board.circuit.has_amplifiers and not board.circuit.virtual_ground:
             require_amplifiers(board)
-        self._scan = RepeatedScan(design, boards.transposed if board.transposed else boards, board.transpose(cells))
+        self._scan = RepeatedScan(design, boards, cells)
         self.briefest = self._scan.briefest
         """shortest row period in s: the acquisitions of all columns, if one sampling capacitor serves them"""
         self.settled: FloatArray = board.transpose(self._scan.settled) + boards.reference_voltage[..., None]
@@ -111,7 +114,7 @@ class BoardsInTime:
             ends = lower < least
             lower[ends] = 0.0 if self.briefest else least[ends]
             lower_excess = excess(lower)
-            near = left & (lower_excess <= 0) & (upper_excess > -_NEAR * allowed)
+            near = left & (lower_excess <= 0) & (upper_excess > -NEAR * allowed)
             peaks = near & (upper_excess >= np.maximum(lower_excess, after_excess))
             top, top_excess = _peak(excess, lower, after) if peaks.any() else (upper, upper_excess)
             over = left & (lower_excess > 0)
@@ -132,15 +135,10 @@ class BoardsInTime:
         return found
 
 
-_RANGE = 1e-9, 10.0
-"""of the gain-bandwidth: where an amplifier still has all of its gain, and where it has none left"""
 _AROUND = np.geomspace(0.2, 3.0, 31)
 """multiples of the crossover at which a peak is looked for"""
-_NEAR = 0.1  # of the limit; between two steps of a quarter of a radian a deviation rises by less than this
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0
-_CROSSES = 1e-7  # of the logarithm of a crossover, to which it is known
-_MOST_STEPS = 60  # of that search; each third halves the bracket
-_SECTIONS = 20  # golden sections of a peak's bracket: to 1e-4 of it, and the peak itself to the square of that
+_SECTIONS = math.ceil(math.log(ROUNDING) / 2.0 / math.log(_GOLDEN))  # a peak errs by the square of its place
 
 
 def _peak(
@@ -163,7 +161,7 @@ def _crossing(level: Callable[[FloatArray], FloatArray], lower: FloatArray, uppe
     """
     low, high, before, after = lower.copy(), upper.copy(), level(lower), level(upper)
     moved = np.zeros_like(low)
-    for number in range(_MOST_STEPS):
+    for number in range(MOST_CROSSINGS):
         width = high - low
         if (width <= ROUNDING * high).all():
             break
@@ -352,17 +350,15 @@ class _Loops(NamedTuple):
 
     @classmethod
     def of(cls, design: Design, boards: Boards, cells: FloatArray) -> _Loops:
-        board = design.board
-        require_amplifiers(board)
-        ours = boards.transposed if board.transposed else boards
-        if np.isinf(ours.gain_bandwidth).any():
+        require_amplifiers(design.board)
+        if np.isinf(boards.gain_bandwidth).any():
             raise InputError("readout.gain_bandwidth is infinite: an amplifier without a pole has no phase margin")
-        network = ColumnNetworks.of(design, ours, board.transpose(cells)).conductance
-        parts = 1 / ours.reference_resistance, 1 / ours.open_loop_gain, 2 * pi * ours.gain_bandwidth
+        _, stack, network, _ = ColumnNetworks.of(design, boards, cells)
+        parts = 1 / of_columns(stack.reference), 1 / of_columns(stack.gain), 2 * pi * boards.gain_bandwidth
         count, grids, columns = network.shape[:3]
         each = [
             np.repeat(np.broadcast_to(part, (count, part.shape[1])), grids, axis=0)
-            for part in (*parts, ours.column_capacitance, ours.feedback_capacitance)
+            for part in (*parts, boards.column_capacitance, boards.feedback_capacitance)
         ]
         return cls(network.reshape(-1, columns, columns), *each)
 
@@ -401,17 +397,17 @@ class _Loops(NamedTuple):
 
         The grid at a column changes little with frequency, so that a few evaluations of it suffice.
         """
-        low, high = (np.log(bound * self.speed) + np.zeros_like(self.slack) for bound in _RANGE)
+        low, high = (np.log(bound * self.speed) + np.zeros_like(self.slack) for bound in (FULL_GAIN, NO_GAIN))
         grid: ComplexArray = np.einsum("kjj->kj", self.network).astype(np.complex128)
         log_omega = high
-        for _ in range(_MOST_STEPS):
+        for _ in range(MOST_CROSSINGS):
 
             def level(at: FloatArray, grid: ComplexArray = grid) -> FloatArray:
                 return np.log(np.abs(self.at(np.exp(at), grid)[0]))
 
             crosses, before = level(low) > 0, log_omega
             log_omega = _crossing(level, low, high)
-            if not (crosses & (np.abs(log_omega - before) > _CROSSES)).any():
+            if not (crosses & (np.abs(log_omega - before) > ROUNDING)).any():
                 break
             grid = self.grid(np.exp(log_omega))
         return np.where(crosses, np.exp(log_omega), np.nan)
@@ -423,7 +419,7 @@ class _Loops(NamedTuple):
         def gain(omega: FloatArray) -> FloatArray:
             return np.where(np.isfinite(omega), np.abs(self.at(omega, self.grid(omega))[1]), 0.0)
 
-        steady = gain(_RANGE[0] * self.speed + np.zeros_like(self.slack))
+        steady = gain(FULL_GAIN * self.speed + np.zeros_like(self.slack))
         top = np.argmax([gain(omega * ratio) for ratio in _AROUND], axis=0)
         beside = (_AROUND[np.clip(top + step, 0, len(_AROUND) - 1)] for step in (-1, 1))
         _, peak = _peak(gain, *(omega * ratio for ratio in beside))

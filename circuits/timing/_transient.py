@@ -64,11 +64,9 @@ class Transient:
         """
         self._board = board = design.board
         taps = range(board.shape[1], 2 * board.shape[1]) if sampler_delay(board) else ()
-        boards = Boards.of(design)
-        ours = boards.transposed if board.transposed else boards
         every = np.arange(board.shape[1])
-        networks = ColumnNetworks.of(design, ours, board.transpose(design.resistance(resistance))[None]).conductance
-        known = [Circuit.of(ours, board, networks[:, group], every, list(taps)) for group in range(networks.shape[1])]
+        networks = ColumnNetworks.of(design, Boards.of(design), design.resistance(resistance)[None])
+        known = [Circuit.of(networks, group, every, list(taps)) for group in range(networks.conductance.shape[1])]
         self._circuits = known if len(known) > 1 else known * board.shape[0]
 
     def aim(self, settled: FloatArray, row: int = 0) -> None:

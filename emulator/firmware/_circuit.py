@@ -9,11 +9,8 @@ from ...common.arrays import FloatArray
 from .._hand import Hand
 from .._scene import Scene
 from .._skin import ScenePhysics
+from .._tuning import CELLS_PERIOD_S, SAME_RESISTANCE
 
-CELLS_PERIOD_S = 1e-3
-"""s between two updates of what presses on the skin; a frame takes one or more of them"""
-_SAME_RESISTANCE = 1e-6
-"""relative change of all cells below which the circuit is not solved again: far below a step of the ADC"""
 _NO_DRIVE = 1e-6
 """V: stands for a drive of zero; it is the smallest that a design may have, and moves outputs by microvolts"""
 REFERENCE_RESISTORS_OHM = (10e3, 15e3)
@@ -105,7 +102,7 @@ class ScanCircuit:
     def _change(self, design: Design, resistance: FloatArray) -> None:
         """The circuit is this one from now on; it is solved again only if that makes a difference."""
         self.resistance_ohm = resistance
-        same = design is self._design and np.allclose(resistance, self._solved_for, rtol=_SAME_RESISTANCE, atol=0.0)
+        same = design is self._design and np.allclose(resistance, self._solved_for, rtol=SAME_RESISTANCE, atol=0.0)
         if not same:
             self._design = design
             self._transient.change(design, resistance)

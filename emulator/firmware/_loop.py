@@ -7,10 +7,8 @@ from collections.abc import Callable
 from .._hand import Hand
 from .._scene import Scene
 from .._skin import Sample
+from .._tuning import TICK_S
 from ._board import FirmwareBoard
-
-TICK_S = 5e-3
-"""s of board time between two looks at the port"""
 
 
 class FirmwareInService(FirmwareBoard):

@@ -10,14 +10,11 @@ from ...circuits import Design, Settling, scan
 from ...common.arrays import FloatArray
 from .._scene import Scene
 from .._skin import Sample
+from .._tuning import PREDICTED_ACQUISITION_S, TICK_S
 from ._board import BoardSettings, FirmwareBoard
 
 ERROR_BUDGET_STEPS = 0.5
 """ADC steps by which a reading may be off because it has not settled"""
-_SLICE_S = 5e-3
-"""s of board time between two looks at what the board has sent"""
-_PREDICTED_ACQUISITION = 2e-6
-"""s given to the predicted capacitor: Settling has all conversions of a row follow each other at its end"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,18 +51,18 @@ def dwell_error(design: Design, settings: BoardSettings) -> DwellError:
     with FirmwareBoard(_scene(design), settings=settings, record=samples.append) as board:
         board.hold_cells(cells)
         while not samples:
-            board.run(_SLICE_S)
+            board.run(TICK_S)
         selected = {row: time for time, row in board.row_switches}
         instants = [(time - selected[row], row, column) for time, row, column in board.sample_instants]
         dwell_us = board.settings.dwell_us if board.settings.dwell_us is not None else board.kind.dwell_us
     assert design.adc is not None
-    settling = Settling(design.replace(adc={"acquisition_time": _PREDICTED_ACQUISITION}), cells)
+    settling = Settling(design.replace(adc={"acquisition_time": PREDICTED_ACQUISITION_S}), cells)
     settled = scan(design, cells, method="exact").volts
     predicted = np.zeros(cells.shape)
     columns = design.array.columns
     for after, row, column in instants:
         if row % 2 == 0:
-            period = after + (columns - 1 - column) * _PREDICTED_ACQUISITION
+            period = after + (columns - 1 - column) * PREDICTED_ACQUISITION_S
             predicted[row, column] = settling.sampled_from_rest(period)[row, column] - settled[row, column]
     loaded = slice(None, None, 2)
     return DwellError(

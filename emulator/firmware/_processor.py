@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Protocol, Self
 
 from ...errors import LinkError
+from .._tuning import DRAIN_S
 from ._engines import Engine
 
 CLOCK_HZ = 16_000_000
@@ -21,8 +22,6 @@ CLOCK_HZ = 16_000_000
 _RECORD = struct.Struct("<BdBBB")  # kind, cycle, three bytes
 _GO = struct.Struct("<BdBH")  # kind, cycle, clear to send, number of bytes
 _VOLTS = struct.Struct("<Bd")  # kind, volts over the reference voltage
-_LONGEST_ANSWER_S = 60.0
-"""s of real time after which a processor that says nothing is taken to hang; it answers within milliseconds"""
 _CHUNK = 65536
 
 
@@ -170,9 +169,9 @@ class Processor:
         assert self._process.stdout is not None
         output = self._process.stdout.fileno()
         while len(self._pending) < _RECORD.size:
-            ready, _, _ = select.select([output], [], [], _LONGEST_ANSWER_S)
+            ready, _, _ = select.select([output], [], [], DRAIN_S)
             if not ready:
-                raise LinkError(f"{self._name}: the emulated processor has hung for {_LONGEST_ANSWER_S:g} s")
+                raise LinkError(f"{self._name}: the emulated processor has hung for {DRAIN_S:g} s")
             data = os.read(output, _CHUNK)
             if not data:
                 raise self._ended()

@@ -1,4 +1,4 @@
-"""The tuned numbers of the guesses, with their units and what sets them; ``python -m tests.formats`` judges them.
+"""Tuned numbers of listening and of guesses, with units and what sets them; ``python -m tests.formats`` judges them.
 
 The formats of 54 public sketches, sent in bursts and over a UART, are the sample: none may be drafted wrong.
 """
@@ -36,7 +36,31 @@ MANY_FRAMES = 10
 SEVERAL = 5
 """returns of a header, steps of a number that rises, runs of equal frames: fewer look like one by chance"""
 
+LIST = 4
+"""numbers from which on the longest list in a line is that of the cells; among fewer the last one is"""
+MOST_IDLE = 4
+"""different lines that a board repeats while it waits"""
+ASKED_AGAIN = 15
+"""times that a board which answers is asked again"""
+OTHERS_TRIED, MOST_OTHERS = 4, 3
+"""guesses that are tried besides one that explains enough, and that are shown"""
+BINS = 16
+"""of the distributions of the halves of words"""
+USUAL_BITS = 12
+"""of a converter whose largest count has not been seen: too many bits cost nothing while no circuit is known"""
+
 # Times, in s.
+LISTEN_S, LONGEST_LISTENING_S = 1.5, 6.0
+"""how long to listen at one baud rate before the bytes are judged: the slowest family sends two frames in a second; and
+if bytes come that are no frames yet: a board boots, or sends slowly"""
+ASKED = 5
+"""that part of it which a board has to answer, and for which a further baud rate is heard if the port was silent"""
+STILL_ALIVE = 0.5
+"""share of the time after which a board stops that hears nothing: so often the start is sent again"""
+QUIET_S, ANSWERED_S = 0.7, 0.1
+"""without a byte, from which on a board counts as silent: a boot message may have come before; and an answer as over"""
+PROGRESS_S = 0.25
+"""between two words on what is being done"""
 PAUSE_S = 0.003
 """least pause between two frames: several times what an operating system delays bytes by"""
 PAUSES_APART = 2.0
