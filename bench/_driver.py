@@ -29,6 +29,7 @@ import numpy as np
 
 from ..cell import ESTIMATORS, Cell, Estimator, rehearsed
 from ..circuits import Design, adc_codes, scan_batch
+from ..common import compiled
 from ..common.arrays import BoolArray, CodeArray, FloatArray
 from ..driver import CountReader, Frame, Skin
 from ..errors import InputError
@@ -299,7 +300,8 @@ def port_of(packets: list[bytes], board: Design) -> PacedPort:
 
 @contextlib.contextmanager
 def every_frame(port: PacedPort, board: Design, cell: Cell, name: str | None) -> Iterator[Skin]:
-    """A skin of whose frames the reader takes every one."""
+    """A skin of whose frames the reader takes every one, with all kernels loaded, as of one that is opened by name."""
+    compiled.load()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # that hardly a cell is valid is in the table
         with Skin(port, design=board, cell=cell, estimator=name, delivery="every", timeout=60.0) as skin:
