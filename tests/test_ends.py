@@ -378,7 +378,7 @@ def test_the_worst_board_has_the_tolerance_of_a_networks_part() -> None:
     """An amplifier's feedback that is 5 % low reads resistances 1 / 0.95 too high."""
     parts = {"parts": ["X1 0 line out opamp", "R1 line out 20k"], "tolerance": {"R1": 0.05}}
     rows = {"selected": NEGATIVE, "idle": GROUNDED}
-    tables = {"array": {"rows": 2, "columns": 2}, "row_end": rows, "column_end": parts}
+    tables = {"array": {"rows": 1, "columns": 1}, "row_end": rows, "column_end": parts}
     design = Design.model_validate(tables | {"adc": {"bits": 16, "range": (0.0, 3.3)}})
     (found,) = verify(design, only=("D2",), samples=20).results
     assert found.measurement is not None
