@@ -2,7 +2,7 @@
 
 The rows of the boards stand below each other, and a board of fewer columns has no cells in the others. A joined frame
 comes as soon as every board has sent a new one, or when one sends its next before that, so that none is left out. It
-shows the newest frame of each board. A board that has not sent for :data:`SILENT_S` is not waited for, and its cells
+shows the newest frame of each board. A board that has not sent for :data:`ABSENT_S` is not waited for, and its cells
 are not valid (``Reason.MISSING``).
 
 All boards of a computer are on its one clock (:attr:`.Frame.monotonic_time`); recordings of one skin are merged by the
@@ -30,11 +30,8 @@ from ._frames import Delivery, Frames
 from ._skin import BoardSkin
 from ._statistics import Counters
 from ._stream import RawFrame
+from ._tuning import ABSENT_S, BETWEEN_PITCHES
 
-SILENT_S = 0.2
-"""a board that has sent no frame for longer is not waited for; until then its last one counts"""
-BETWEEN_PITCHES = 3.0
-"""distance of boards whose places nobody has given, in pitches: contacts do not go across"""
 SAME_PLACE_MM = 1e-3
 _MISSING, _NO_CELL, _NOISY = int(Reason.MISSING), int(Reason.NO_CELL), int(Reason.UNCERTAIN)
 
@@ -91,13 +88,13 @@ class Joiner:
     def add(self, board: int, frame: Frame) -> list[RawFrame]:
         """The joined frames, none or more, that follow from a frame of a board."""
         waits_long = any(
-            fresh and last is not None and frame.monotonic_time - last.monotonic_time > SILENT_S
+            fresh and last is not None and frame.monotonic_time - last.monotonic_time > ABSENT_S
             for fresh, last in zip(self._fresh, self._last, strict=True)
         )
         joined = [self._join()] if self._fresh[board] or waits_long else []
         self._last[board], self._fresh[board], self.newest = frame, True, frame
         if all(
-            fresh or last is None or frame.monotonic_time - last.monotonic_time > SILENT_S
+            fresh or last is None or frame.monotonic_time - last.monotonic_time > ABSENT_S
             for fresh, last in zip(self._fresh, self._last, strict=True)
         ):
             joined.append(self._join())
@@ -118,7 +115,7 @@ class Joiner:
         for part, (rows, _), is_new in zip(parts, self._shapes, fresh, strict=True):
             own = slice(first, first + rows)
             old[own] = not is_new
-            if part is None or newest.monotonic_time - part.monotonic_time > SILENT_S:
+            if part is None or newest.monotonic_time - part.monotonic_time > ABSENT_S:
                 reason[own][reason[own] != _NO_CELL] = _MISSING
             first += rows
         pressure = self._cells(parts, lambda frame: frame.pressure)

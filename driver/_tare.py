@@ -17,31 +17,20 @@ from ..common.config import LEAST_SI, MOST_SI
 from ..common.files import whole_file
 from ..common.text import count_of, printable
 from ..errors import InputError
+from ._tuning import (
+    CONTACT_LOAD,
+    DRIFT,
+    DRIFT_COUNTS,
+    ENOUGH_READINGS,
+    KNOWN_DRIFT,
+    NOISE_SHARE,
+    OUTLYING_STDS,
+    SHEET_FACTOR,
+    SPREAD,
+    SURE_STDS,
+    TYPICAL_READINGS,
+)
 
-SPREAD = 0.3
-"""default relative deviation of a cell from the other cells that manufacturing tolerances explain; the project's own
-choice"""
-SHEET_FACTOR = 2.0
-"""factor between the typical cell and its data sheet that manufacturing tolerances explain"""
-KNOWN_DRIFT = 0.1
-"""relative change since an earlier tare or a calibration that temperature, age and earlier loads explain; the project's
-own choice"""
-CONTACT_LOAD = 0.1
-"""share of full scale that electrodes in light contact may seem to bear at rest, since glue and covers press on them"""
-DRIFT = 0.01
-"""relative change of a resistance during the tare that a resting cell may show"""
-DRIFT_COUNTS = 2.0
-"""change of a count, likewise"""
-DRIFT_STDS = 5.0
-"""the same in standard errors, for noisy readings"""
-OUTLYING_STDS = 4.0
-"""a cell this far from the others, in robust standard deviations of all, is an outlier of their scatter"""
-NOISE_SHARE = 0.5
-"""share of the tolerated deviation for noise; the rest is for manufacturing tolerances"""
-TYPICAL_READINGS = 4
-"""weight of the noise of all cells in the noise of one cell, in readings of that cell"""
-ENOUGH_READINGS = 8.0
-"""readings of the usual noisy cell in a tare that covers nearly all: then one cell in 3000 has none (Poisson)"""
 MOST_BYTES = 2**26
 """size limit of a file: a tare of 1024 x 1024 cells fits"""
 LATEST_S = 4e9
@@ -326,9 +315,9 @@ class RestReadings:
         beyond = np.abs(ratio - 1) - spread
         unlike = beyond > 0
         # Boards measure currents, so the noise is that of a conductance; in a resistance it grows with the resistance.
-        if (beyond > DRIFT_STDS * own * ratio / np.sqrt(np.maximum(readings, 1)))[unlike].any():
+        if (beyond > SURE_STDS * own * ratio / np.sqrt(np.maximum(readings, 1)))[unlike].any():
             return 0
-        enough = float((DRIFT_STDS * own[unlike].max() / (NOISE_SHARE * spread)) ** 2)
+        enough = float((SURE_STDS * own[unlike].max() / (NOISE_SHARE * spread)) ** 2)
         # Cells with rarely valid readings decide. A column's are valid together, in some columns ten times as often.
         return _two_digits(len(self.time_s) * max(enough / float(readings[readings > 0].min()), 2.0))
 
@@ -360,7 +349,7 @@ class RestReadings:
         every = readings == frames
         if every.any():
             noise = np.maximum(noise, mean * np.median((noise / np.maximum(mean, 1e-300))[every]))
-        limit = np.maximum(DRIFT_COUNTS if of_counts else DRIFT * mean, DRIFT_STDS * noise * np.sqrt(2 / half))
+        limit = np.maximum(DRIFT_COUNTS if of_counts else DRIFT * mean, SURE_STDS * noise * np.sqrt(2 / half))
         moving = every & (change > limit)
         if not moving.any():
             return ""
@@ -454,7 +443,7 @@ def _changed_since(
     """
     ratio = mean / earlier.rest_resistance_ohm
     change = np.abs(ratio - 1) if cell is None else _sign_of_load(cell) * (ratio - 1)
-    noise = DRIFT_STDS * std_error / earlier.rest_resistance_ohm
+    noise = SURE_STDS * std_error / earlier.rest_resistance_ohm
     changed = earlier.measured & (mean > 0) & (change > np.maximum(drift, noise))
     if cell is not None and isinstance(cell.model, ContactModel):
         changed &= _contact_load(mean, earlier.rest_resistance_ohm, cell.model) > CONTACT_LOAD

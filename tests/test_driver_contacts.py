@@ -17,9 +17,10 @@ from uncompiled import switched_off
 from ohmskin.common.arrays import FloatArray
 from ohmskin.common.geometry import Geometry
 from ohmskin.driver import MESSAGE_SCHEMAS, Contact, ContactTracker, messages_of
-from ohmskin.driver._contacts import MOST_DEAD, ContactsOfFrames, PressureView
+from ohmskin.driver._contacts import ContactsOfFrames, PressureView
 from ohmskin.driver._touch import Memory
-from ohmskin.driver._tracks import MEMORY_S, free_place
+from ohmskin.driver._tracks import free_place
+from ohmskin.driver._tuning import MEMORY_S, QUEUE
 from ohmskin.emulator import Board
 from ohmskin.errors import InputError
 
@@ -459,12 +460,12 @@ def test_contacts_are_the_same_in_whatever_order_frames_are_asked(asked_first: i
 def test_frames_without_contacts_that_nobody_holds_are_forgotten() -> None:
     contacts, none = ContactsOfFrames(ContactTracker(Geometry.rectangle((1, 1), 0.01), FULL_KPA)), np.zeros((1, 1))
     held = []
-    for number in range(20 * MOST_DEAD):
+    for number in range(20 * QUEUE):
         view = PressureView(0.01 * number, none, none, none > 0)
         contacts.pass_by(view)
-        if number % MOST_DEAD == 0:
+        if number % QUEUE == 0:
             held.append(view)
-    assert len(contacts._waiting) <= 2 * (len(held) + MOST_DEAD)
+    assert len(contacts._waiting) <= 2 * (len(held) + QUEUE)
     assert all(contacts.of(view) == () for view in held)
 
 

@@ -20,7 +20,8 @@ from ohmskin.common.geometry import Geometry
 from ohmskin.driver import ContactTracker, Frame, JoinedSkin, Skin
 from ohmskin.driver._consumer import Consumer
 from ohmskin.driver._contacts import Touch
-from ohmskin.driver._joined import SILENT_S, JoinedBoards, JoinedFrames, Joiner, joined_geometry
+from ohmskin.driver._joined import JoinedBoards, JoinedFrames, Joiner, joined_geometry
+from ohmskin.driver._tuning import ABSENT_S
 from ohmskin.emulator import Board, PtyPort, Scene, load_scenes, running
 from ohmskin.errors import InputError, LinkEnded, LinkError
 from ohmskin.wire import Order, host_protocol
@@ -117,7 +118,7 @@ def test_every_frame_of_a_board_is_in_one_joined_frame_and_none_waits_for_a_sile
                 own = slice(2 * k, 2 * k + 2)
                 if joined.valid[own].all():
                     kpa = float(joined.pressure[own][0, 0])
-                    assert frame.monotonic_time - came_s[kpa] <= SILENT_S
+                    assert frame.monotonic_time - came_s[kpa] <= ABSENT_S
                     seen[k] += [] if kpa == seen[k][-1] else [kpa]
                 else:
                     assert (joined.reason[own] == Reason.MISSING).all()
