@@ -205,9 +205,11 @@ class JoinedFrames(Frames):
 
     def catch_up(self, last: int | None = None) -> None:
         """Play recordings up to the joined frame ``last``; None: up to the next one."""
+        if self._played is None:
+            return
         with self._joining:
             last = 1 + (0 if self.newest is None else self.newest.index) if last is None else last
-            while self._played is not None and not (self.has_after(last - 1) or self.is_full() or self.end):
+            while not (self.has_after(last - 1) or self.is_full() or self.end):
                 following = next(self._played, None)
                 if following is None:
                     self.finish(LinkEnded("the recordings are over"))

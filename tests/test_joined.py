@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import inspect
+from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -160,6 +162,11 @@ def test_boards_without_places_stand_apart_and_boards_at_one_place_are_refused()
         joined_geometry([placed, board])
 
 
+async def _of(skin: Skin) -> AsyncIterator[Frame]:
+    async for frame in skin:
+        yield frame
+
+
 def test_what_a_joined_skin_inherits_asks_no_single_board(tmp_path: Path) -> None:
     """Neither does it refuse more than what belongs to one board."""
     refused = {"design", "touch", "pitch_m", "pitch_xy_m", "identity", "description", "recorder"}
@@ -171,6 +178,7 @@ def test_what_a_joined_skin_inherits_asks_no_single_board(tmp_path: Path) -> Non
         assert skin.latest(np.inf).monotonic_time >= first.monotonic_time
         assert 0 < len(skin.read_many(5)) <= 5
         assert next(iter(skin.frames())).monotonic_time > first.monotonic_time
+        assert asyncio.run(anext(aiter(_of(skin)))).monotonic_time > first.monotonic_time
         skin.use_tare(None)
         for call in (lambda: skin.on_bytes(print), lambda: skin.request(Order.STOP), lambda: skin.use_tare("x")):
             with pytest.raises(InputError, match="ask one of the 2"):
