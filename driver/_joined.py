@@ -16,18 +16,18 @@ import heapq
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol
 
 import numpy as np
 
 from ..circuits import Reason
 from ..common.arrays import AnyArray
 from ..common.geometry import Geometry
-from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
+from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView, Touch
 from ._converted import Converted
 from ._frame import Frame
 from ._frames import Delivery, Frames
-from ._skin import BoardSkin
 from ._statistics import Counters
 from ._stream import RawFrame
 from ._tuning import ABSENT_S, BETWEEN_PITCHES
@@ -173,10 +173,25 @@ def total(numbers: Sequence[int | None]) -> int | None:
     return None if None in numbers else sum(number or 0 for number in numbers)
 
 
+class Board(Protocol):
+    """What is asked of a board's own skin."""
+
+    @property
+    def port_name(self) -> str:
+        """For messages."""
+
+    @property
+    def away(self) -> str | None:
+        """Why its port is lost; None: it is there."""
+
+    def __next__(self) -> Frame:
+        """Its next frame."""
+
+
 class JoinedFrames(Frames):
     """The queue of joined frames, which come converted."""
 
-    def __init__(self, joiner: Joiner, boards: Sequence[BoardSkin], delivery: Delivery, queue: int) -> None:
+    def __init__(self, joiner: Joiner, boards: Sequence[Board], delivery: Delivery, queue: int) -> None:
         super().__init__(delivery, queue, Counters())
         self._joiner, self._boards = joiner, boards
         self._joining = threading.RLock()
@@ -198,7 +213,14 @@ class JoinedFrames(Frames):
         """Take the frames of recordings when they are asked for."""
 
         def of_board(board: int) -> Iterator[tuple[float, int, Frame]]:
-            for frame in self._boards[board]:
+            while True:
+                try:
+                    frame = next(self._boards[board])
+                except StopIteration:
+                    return
+                except ProtocolError as error:  # a later frame may be good
+                    self.report(error)
+                    continue
                 yield frame.host_time, board, frame
 
         self._played = heapq.merge(*map(of_board, range(len(self._boards))))
@@ -247,7 +269,7 @@ class JoinedFrames(Frames):
 class JoinedBoards:
     """The boards of a joined skin in the place of a :class:`._connection.Connection`."""
 
-    def __init__(self, boards: Sequence[BoardSkin], frames: JoinedFrames, joiner: Joiner) -> None:
+    def __init__(self, boards: Sequence[Board], frames: JoinedFrames, joiner: Joiner) -> None:
         self._boards, self._joiner = boards, joiner
         self.frames: Frames = frames
 

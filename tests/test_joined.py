@@ -25,7 +25,7 @@ from ohmskin.driver._contacts import Touch
 from ohmskin.driver._joined import JoinedBoards, JoinedFrames, Joiner, joined_geometry
 from ohmskin.driver._tuning import ABSENT_S
 from ohmskin.emulator import Board, PtyPort, Scene, load_scenes, running
-from ohmskin.errors import InputError, LinkEnded, LinkError
+from ohmskin.errors import InputError, LinkEnded, LinkError, ProtocolError
 from ohmskin.wire import Order, host_protocol
 
 HAND = Path(__file__).parents[1] / "examples/hand/hand.toml"
@@ -146,6 +146,43 @@ def test_what_happened_to_one_board_happened_to_the_joined_skin(happened: set[tu
     (joined,) = reader.next_frames(10, 0.0)
     assert {name for name in EVENTS if getattr(joined, name)} == {name for _, name in happened}
     assert joined.lost_before == 3
+
+
+class Played:
+    """A recording as a board: frames, and faults among them."""
+
+    port_name, away = "played", None
+
+    def __init__(self, *items: Frame | ProtocolError) -> None:
+        self._items = iter(items)
+
+    def __next__(self) -> Frame:
+        item = next(self._items)
+        if isinstance(item, ProtocolError):
+            raise item
+        return item
+
+
+def test_a_fault_in_one_recording_ends_neither_it_nor_the_others() -> None:
+    board = Geometry.rectangle((1, 1), 0.01)
+    times = [0.01 * k for k in range(1, 9)]
+    left, right = ([frame_at(s, board, s) for s in times] for _ in range(2))
+    boards = [Played(*left[:3], ProtocolError("a fault"), *left[3:]), Played(*right)]
+    joiner = Joiner([board] * 2, Touch(20.0))
+    frames = JoinedFrames(joiner, boards, "lossless", 10)
+    frames.play()
+    reader, seen, faults = Consumer(JoinedBoards(boards, frames, joiner), after=0), [], 0
+    while True:
+        try:
+            seen += reader.next_frames(3, 0.0)
+        except ProtocolError:
+            faults += 1
+        except LinkEnded:
+            break
+    assert faults == 1
+    for row in (0, 1):  # each frame of each recording is in one of them
+        shown = [float(one.pressure[row, 0]) for one in seen]
+        assert list(dict.fromkeys(kpa for kpa in shown if kpa > 0.0)) == times
 
 
 def test_boards_without_places_stand_apart_and_boards_at_one_place_are_refused() -> None:
