@@ -50,7 +50,7 @@ class CountReader:
         self._recover = live_recovery(design, accuracy=accuracy, lowest_ohm=lowest_ohm)
         self._step, self._lowest_volts = adc.step, float(volts_of_codes(design, np.zeros(1, dtype=np.int64))[0])
         # As arrays: NumPy converts a float to an array in every call, which takes as long as a small operation.
-        low, high = design.readout.supply
+        low, high = design.board.supply
         beyond_half_step = adc_error(design) - adc.step / 2  # V, by which a limited output may read inside it
         self._first, self._last = self._codes_within(low + beyond_half_step, high - beyond_half_step)
         self._rising = (design.board.drive > 0) != design.board.circuit.inverts  # whether current raises the outputs
