@@ -250,7 +250,7 @@ class Image(Shape):
         def up_to(y: FloatArray, x: FloatArray) -> FloatArray:
             row, column = np.clip(y / height + 0.5, 0.0, 1.0) * rows, np.clip(x / width + 0.5, 0.0, 1.0) * columns
             found: FloatArray = map_coordinates(self._sums, np.broadcast_arrays(row, column), order=1)
-            return height * width * found
+            return np.asarray(height * width * found)
 
         return _within(up_to, down, along, side)
 
