@@ -50,6 +50,8 @@ def follow(count: int, skin: Skin, memory: Memory, scan: Scan, time_s: float) ->
     places = places[:known]
     shared = np.empty(known, np.intp)
     share(places, count, memory, scan.before, time_s, shared)
+    for place in places:
+        tracks[place].patch = 0.0
     together = np.empty(MOST_TOGETHER, np.intp)
     for k in range(count):
         fingers = strongest(tracks, places, shared, k, together)
@@ -71,8 +73,7 @@ def follow(count: int, skin: Skin, memory: Memory, scan: Scan, time_s: float) ->
         track = tracks[place]
         if track.id > 0.0:
             last = place + 1
-            if track.seen_s < time_s:
-                track.patch = track.leads = 0.0
+            track.leads = track.leads if track.patch > 0.0 else 0.0
     progress.tracks = float(last)
 
 

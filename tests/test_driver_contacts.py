@@ -235,6 +235,16 @@ def test_a_hand_of_eight_fingers_that_is_lifted_at_once_leaves_no_place_of_memor
     assert {one.id for one in found[6]} == {one.id for one in found[0]}
 
 
+def test_frames_of_one_moment_lift_fingers_as_others_do() -> None:
+    """Boards of a joined skin may have sent at the same time; a finger's patch is that of the frame before."""
+    three = np.sum([bump((4, 16), 1.5, c, 10.0, 0.6) for c in (2.0, 7.0, 12.0)], axis=0)
+    frames = [three, bump((4, 16), 1.5, 2.0, 10.0, 0.6), np.zeros((4, 16)), three]
+    with switched_off():
+        found = track(frames, step_s=0.0)
+    assert [len(one) for one in found] == [3, 1, 0, 3]
+    assert {one.id for one in found[3]} == {one.id for one in found[0]}
+
+
 def test_where_no_place_for_a_finger_is_free_the_one_lifted_first_is_forgotten() -> None:
     memory = Memory.of_nothing(2)
     (progress,), tracks = memory.progress, memory.tracks
