@@ -7,8 +7,8 @@ gates, and with the figures that were frozen; also after calibrations on :mod:`.
 
 Solvers: :mod:`._measurement` beside :mod:`._peers`.
 
-The live path: :mod:`._driver`, the age of frames (:mod:`._freshness`, over a :mod:`._paced_port`) and
-:mod:`._worst_frames`; contacts of fingers and taps, and false ones of drift and electrical faults (:mod:`.contacts`).
+The live path: :mod:`._driver` (over a :mod:`._paced_port`) and :mod:`._worst_frames`; contacts of fingers and taps, and
+false ones of drift and electrical faults (:mod:`.contacts`).
 
 Searches for faults, each a program: ``python -m ohmskin.bench.search`` holds readings against exact rational arithmetic
 (:mod:`._reference`), with ``--live`` streams against the cells behind them (:mod:`._live_search`);
@@ -17,8 +17,7 @@ Searches for faults, each a program: ``python -m ohmskin.bench.search`` holds re
 tell them at all.
 """
 
-from ._driver import live_estimators
-from ._freshness import freshness
+from ._driver import freshness, live_estimators
 from ._measurement import board, cells, measure, picture
 
 __all__ = [

@@ -10,7 +10,7 @@ computed when the reader asks for them. The rest is the skin's: numbering and ti
 threads.
 
 :func:`driver` goes through the boards, with the default estimator; :func:`live_estimators` through the estimators, on
-one kind of board.
+one kind of board. :func:`freshness` states the age of the newest frame.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import gc
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from math import inf
 from time import process_time
 from types import MappingProxyType
 from typing import Any
@@ -28,6 +29,7 @@ import numpy as np
 
 from ..cell import ESTIMATORS, Cell, Estimator, rehearsed
 from ..circuits import Design, adc_codes, scan_batch
+from ..common import compiled
 from ..common.arrays import BoolArray, CodeArray, FloatArray
 from ..driver import CountReader, Frame, Skin
 from ..errors import InputError
@@ -58,7 +60,17 @@ CASES: tuple[tuple[str, str, int, int], ...] = (
 )
 """circuit, idle rows, ADC bits, saturated cells"""
 APART_S = 1.0 / FRAME_RATE_HZ  # from packet to packet on the port's own clock, as on the board's
+FRESH_HZ, WORK_S, CYCLES = 1000.0, 0.0104, 150
+"""of the board whose newest frame is wanted; work of its reader in each cycle, no multiple of the period; cycles"""
+FRESH_FRAMES, SPARE = 200, 4
+"""different frames, which repeat; times as many packets as the work alone needs, for slow machines"""
 LARGEST_FLOATING = 32  # side beyond which boards with floating rows are left out: minutes
+
+
+HEAD = (
+    "frames per second of processor time on one core that a reader of a skin gets, bytes to kPa with standard "
+    "deviations; worst frame in medians; errors of valid cells"
+)
 
 
 @dataclass(frozen=True)
@@ -288,7 +300,8 @@ def port_of(packets: list[bytes], board: Design) -> PacedPort:
 
 @contextlib.contextmanager
 def every_frame(port: PacedPort, board: Design, cell: Cell, name: str | None) -> Iterator[Skin]:
-    """A skin of whose frames the reader takes every one."""
+    """A skin of whose frames the reader takes every one, with all kernels loaded, as of one that is opened by name."""
+    compiled.load()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # that hardly a cell is valid is in the table
         with Skin(port, design=board, cell=cell, estimator=name, delivery="every", timeout=60.0) as skin:
@@ -343,9 +356,44 @@ def quantised(board: Design, cells: FloatArray, noise_v: float, random: np.rando
     return adc_codes(board, volts + random.normal(scale=noise_v, size=volts.shape))
 
 
-def head() -> str:
-    """What the columns are."""
-    return (
-        "frames per second of processor time on one core that a reader of a skin gets, bytes to kPa with standard "
-        "deviations; worst frame in medians; errors of valid cells"
-    )
+AGES = f"age in frames of the newest one of a skin at {FRESH_HZ:g} Hz, for a reader with 10 ms of work per cycle"
+
+
+@dataclass(frozen=True)
+class Freshness:
+    """One size, on a board with inverting amplifiers and 12 bits."""
+
+    size: int = field(metadata=column("cells", "{0} x {0}"))
+    """of the N x N array"""
+    median_age: float = field(metadata=column("median age", "{:.2f}"))
+    """of the newest frame, in frames of a board at 1 kHz, when a reader gets it who works for 10 ms in each cycle"""
+    worst_age: float = field(metadata=column("worst", "{:.2f}"))
+    skipped: int = field(metadata=column("skipped", "{}"))
+    """frames that this reader did not take, as the frames say"""
+    unaccounted: int
+    """frames that the board sent and that are in no count; 0 unless the driver has a fault"""
+
+
+def freshness(sizes: Iterable[int], *, cycles: int = CYCLES) -> Iterator[Freshness]:
+    """Age of the newest frame for a slow reader of a skin, at every size.
+
+    The port's clock is the processor time of this process plus the time that the reader works: the ages are those of a
+    core that has nothing else to do, however loaded this machine is. What an operating system and a line add is left
+    out (``examples/link_latency.py`` measures a real port).
+    """
+    for size in sizes:
+        board = design(size, "inverting-amplifier", "ground", 12)
+        cells = pressed(board.array.shape, FRESH_FRAMES)[1]
+        packets = packets_of(board, cells, frames=int(SPARE * cycles * WORK_S * FRESH_HZ), rate_hz=FRESH_HZ)
+        port = PacedPort(packets, 1.0 / FRESH_HZ, board)
+        ages, skipped, known, sequence = [], 0, 0, -1
+        with Skin(port, design=board, cell=Cell.example(), timeout=60.0) as skin:
+            for _ in range(cycles):
+                port.work(WORK_S)
+                frame = skin.latest(inf)
+                ages.append(frame.age)
+                skipped += frame.skipped_before
+                known += frame.skipped_before + (frame.lost_before or 0) + (not frame.repeated)
+                sequence = frame.sequence or 0
+        in_frames = FRESH_HZ * np.array(ages[10:])
+        yield Freshness(size, float(np.median(in_frames)), float(in_frames.max()), skipped, sequence + 1 - known)

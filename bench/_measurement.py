@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..circuits import METHODS, Array, Design, Drive, Readout, scan, scan_batch
+from ..circuits import METHODS, Design, scan, scan_batch
 from ..common import plots
 from ..common.arrays import FloatArray
 from ..common.config import LEAST_SI, MOST_SI
@@ -43,17 +43,13 @@ class Row:
 
 def board(size: int, segment: float) -> Design:
     """N x N, one resistance in ohm for every segment and lead, ideal amplifiers."""
-    return Design(
-        array=Array(
-            rows=size,
-            columns=size,
-            row_segment=segment,
-            column_segment=segment,
-            row_lead=segment,
-            column_lead=segment,
-        ),
-        drive=Drive(voltage=-1.0),
-        readout=Readout(circuit="inverting-amplifier", reference_resistance=1000.0),
+    lines = dict.fromkeys(("row_segment", "column_segment", "row_lead", "column_lead"), segment)
+    return Design.model_validate(
+        {
+            "array": {"rows": size, "columns": size} | lines,
+            "drive": {"voltage": -1.0},
+            "readout": {"circuit": "inverting-amplifier", "reference_resistance": 1000.0},
+        }
     )
 
 

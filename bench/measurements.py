@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from . import _driver, _emulator, _freshness, _worst_frames, contacts, scenarios
+from . import _driver, _emulator, _worst_frames, contacts, scenarios
 
 Table = tuple[str, Iterable[Any]]
 """head, and rows as dataclasses, which come as they are measured"""
@@ -14,10 +14,10 @@ TABLES: Mapping[str, Callable[[Sequence[int]], Sequence[Table]]] = {
     "estimators": lambda _: [("", scenarios.by_estimator())],
     "emulator": lambda sizes: [(_emulator.HEAD, _emulator.emulator(sizes))],
     "driver": lambda sizes: [
-        (_driver.head(), _driver.driver(sizes)),
+        (_driver.HEAD, _driver.driver(sizes)),
         (_worst_frames.HEAD, _worst_frames.worst_frames(sizes)),
         ("the same by estimator", _driver.live_estimators(sizes)),
-        (_freshness.HEAD, _freshness.freshness(sizes)),
+        (_driver.AGES, _driver.freshness(sizes)),
     ],
     "contacts": lambda sizes: [(contacts.HEAD, contacts.fingers(sizes))],
 }

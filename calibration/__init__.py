@@ -26,15 +26,7 @@ from ._presses import Press, Rest
 from ._progress import Progress
 from ._reference import Alignment, align, read_reference, with_reference
 from ._verdict import Verdict, calibrate_cells
-from ._watch import (
-    Event,
-    HeldLongEnough,
-    PressBegan,
-    PressRefused,
-    PressTaken,
-    RestTaken,
-    Watch,
-)
+from ._watch import Event, HeldLongEnough, PressBegan, PressRefused, PressTaken, RestTaken, Watch
 
 __all__ = [
     "Alignment",

@@ -16,14 +16,7 @@ import numpy as np
 from ..cell import Cell
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._presses import Press, Rest
-
-STEP = 1e-4
-"""step of ln R0 and ln gain, for finite differences"""
-ROUNDS = 20
-ENOUGH = 1e-9
-"""convergence limit: change of ln R0 and ln gain in one iteration"""
-LARGEST_MOVE = 1.0
-"""largest change of ln gain in one iteration"""
+from ._tuning import ENOUGH, LARGEST_MOVE, ROUNDS, STEP
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,10 +14,8 @@ from ..errors import InputError, LinkEnded
 from ..wire import Order
 from ._plan import Plan
 from ._progress import Progress
+from ._tuning import PATIENCE_S
 from ._watch import Event, HeldLongEnough, PressBegan, PressRefused, PressTaken, RestTaken, Watch
-
-PATIENCE_S = 600.0
-"""longest time without an event, by the board's clock"""
 
 Tell = Callable[[str], None]
 

@@ -9,27 +9,21 @@ import numpy as np
 from ..common.arrays import FloatArray, IntArray
 from ._plan import Plan
 from ._presses import Press
+from ._tuning import (
+    BEGIN,
+    HOLD_WINDOWS,
+    LEAST_COVERED,
+    LEAST_HOLD,
+    LONGEST_WINDOW_S,
+    MARGIN,
+    MOST_BESIDE,
+    STEADY,
+    SURE_STDS,
+    UNREAD_LOADS,
+)
 from ._windows import corners, noise, window_mean
 
-BEGIN, END = 0.25, 0.5
-"""a press begins at the first fraction of the planned load, and ends at the second fraction of its own largest load"""
-OTHERS = 0.5
-"""largest load on a cell outside the target, over the load on the target"""
-COVERED = 0.5
-"""least fraction of the cells of a target that must be under load"""
-STEADY = 0.1
-"""largest relative departure of the load from its mean over the second half of a hold"""
-LEAST_HOLD = 0.8
-"""least duration of a hold, over the requested one"""
-HOLD_WINDOWS = 3
-"""number of averaging windows in the second half of a hold"""
-LONGEST_WINDOW_S = 10.0
-"""longest evaluated part of a hold, counted back from its end; longer parts add no information"""
-MARGIN = 0.05
-"""gap between the averaging window before a press and the press, over the duration of the rest measurement"""
 MOST_FRAMES = 100_000
-UNREAD_LOADS = 10.0
-"""largest load of a cell, over the largest of the plan; a cell without a reading counts as this much"""
 
 
 class Hold:
@@ -121,10 +115,10 @@ class Hold:
         held_s = float(at_s[2] - at_s[1])
         if held_s < LEAST_HOLD * hold_s:
             return f"the load was held for {held_s:.1f} s; expected {hold_s:g} s"
-        if len(covered) < COVERED * len(cells):
+        if len(covered) < LEAST_COVERED * len(cells):
             return f"the load was on {len(covered)} of the {len(cells)} cells"
         outside = np.where(plan.outside(target), bears, 0.0)
-        if (outside > OTHERS * float(np.median(bears[cells]))).any():
+        if (outside > MOST_BESIDE * float(np.median(bears[cells]))).any():
             return f"cell {plan.place(int(np.argmax(outside)))} beside {plan.name(target)} was pressed, too"
         return ""
 
@@ -159,7 +153,7 @@ def _unsteady(total: FloatArray, smoothed: int) -> str:
     # Successive moving averages share most of their frames: their differences are smaller than their noise.
     noise_kpa = float(noise(total[:, None])[0]) * np.sqrt(smoothed)
     moved = float(np.abs(total - mean).max())
-    return "the load was not held still" if moved > STEADY * mean + 6 * noise_kpa else ""
+    return "the load was not held still" if moved > STEADY * mean + SURE_STDS * noise_kpa else ""
 
 
 def _middle(time_s: FloatArray, span: tuple[float, float]) -> float:

@@ -11,12 +11,9 @@ import numpy as np
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
+from ._tuning import GAINS, LEAST_PRESSES
 
 MOST_STEPS = 100
-GAINS = (0.25, 4.0)
-"""accepted range of gains; outside, the load, the area or the cell's data must be wrong"""
-LEAST_PRESSES = 2
-"""least number of presses of each cell; a single press does not show its own error"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,14 +14,10 @@ from ..common.arrays import FloatArray
 from ..common.tables import read_columns
 from ..errors import InputError
 from ._presses import Press
+from ._tuning import LEAST_CORRELATION, LONGEST_DRIFT_PPM, RASTER_S, STEADY, SURE_STDS
 
-RASTER_S = 0.02
 MOST_SAMPLES = 10_000_000
 """largest length of the common raster: two days"""
-LEAST_CORRELATION = 0.8
-LONGEST_DRIFT_PPM = 2000.0
-STILL = 0.1
-"""largest relative departure of the reference from its mean while a load is held"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +124,7 @@ def with_reference(
         load = float(held.mean() - before.mean())
         noise = float(np.sqrt((np.diff(held) ** 2).mean() / 2)) if held.size > 1 else 0.0
         fault = ""
-        if not load > 0 or np.abs(held - held.mean()).max() > STILL * load + 6 * noise:
+        if not load > 0 or np.abs(held - held.mean()).max() > STEADY * load + SURE_STDS * noise:
             fault = "the reference did not hold still"
         levels = np.array([0.0, max(load, 1e-9), max(load, 1e-9), 0.0])
         found.append(replace(press, load_kpa=levels, fault=fault))

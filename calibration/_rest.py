@@ -10,14 +10,8 @@ from ..cell import Cell
 from ..common.arrays import BoolArray, FloatArray
 from ..errors import InputError
 from ._presses import Rest
+from ._tuning import CELL_FACTOR, REST_CHANGE, SHEET_FACTOR, SURE_STDS
 from ._windows import noise, window_mean
-
-SHEET_FACTOR = 3.0
-"""largest ratio between the median cell and the data sheet that manufacturing tolerances explain"""
-CELL_FACTOR = 2.0
-"""largest ratio between one cell and the median cell"""
-REST_CHANGE, REST_CHANGE_STDS = 0.01, 6.0
-"""largest relative change of a cell during the rest measurement, plus a number of standard errors"""
 
 
 def rest_of(frames: Sequence[tuple[float, FloatArray]]) -> Rest:
@@ -52,7 +46,7 @@ def check_rest(rest: Rest, cell: Cell) -> None:
             f"the skin seems to be loaded: cell {worst} has {of_typical[worst]:.2g} times the typical resistance at "
             f"rest. {advice}"
         )
-    limit = REST_CHANGE + REST_CHANGE_STDS * rest.std_ohm / rest.resistance_ohm * 2 / np.sqrt(max(rest.frames, 1))
+    limit = REST_CHANGE + SURE_STDS * rest.std_ohm / rest.resistance_ohm * 2 / np.sqrt(max(rest.frames, 1))
     moving = measured & (np.abs(rest.change) > limit)
     if moving.any():
         worst = _worst(np.where(moving, np.abs(rest.change), 0.0))

@@ -16,22 +16,11 @@ from ..common.text import count_of
 from ..driver import Calibration
 from ..errors import InputError
 from ._fit import Fit, fit_cells
-from ._plan import GAINS, LEAST_PRESSES
 from ._presses import Press, Rest
+from ._tuning import ERROR_STDS, GAINS, LEAST_PRESSES, MOST_REST_CHANGE, TOLERANCE, UNKNOWN_GAIN_STD
 
-MOST_NOISE = 0.1
-"""largest noise of a window mean, over the measured effect of a load"""
-MOST_REST_CHANGE = 0.03
-"""largest relative error of a rest resistance: 3 % correspond to 4 to 6 % of full scale (docs/estimator.md)"""
-NOISE_STDS = 4.0
-"""allowance on top of ``MOST_REST_CHANGE``, in standard deviations of an averaged reading"""
-TOLERANCE = 0.1
-"""largest rms residual over the presses of a cell, over the load"""
 MOST_NAMED = 4
 """number of cells that a message names"""
-UNKNOWN_GAIN_STD = 0.2
-"""relative standard deviation of the gain of cells without calibration, if fewer than three calibrated cells show the
-scatter of gains"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,13 +142,13 @@ def _reason(fit: Fit, at: tuple[int, int], rest: Rest, tolerance: float) -> str:
         return "never pressed"
     if presses < LEAST_PRESSES:
         return f"pressed too seldom: {presses} times; expected at least {LEAST_PRESSES} presses"
-    if not noise < MOST_NOISE * effect:
+    if not noise < TOLERANCE * effect:
         return f"noisier than a load shows: noise {100 * noise:.2g} %, effect {100 * effect:.2g} % of the resistance"
     if fit.reversed[at]:
         return "changing less under a larger load"
     if not GAINS[0] <= gain <= GAINS[1]:
         return f"with a gain that is not believed: {gain:.3g}; expected {GAINS[0]:g} to {GAINS[1]:g}"
-    if not abs(change) <= MOST_REST_CHANGE + NOISE_STDS * noise:
+    if not abs(change) <= MOST_REST_CHANGE + ERROR_STDS * noise:
         lower = "lower" if change < 0 else "higher"
         return (
             f"with a drifting rest resistance: {100 * abs(change):.1f} % {lower} than it should be; was the skin "

@@ -26,24 +26,22 @@ import numpy as np
 from ..cell import Cell
 from ..common.arrays import FloatArray
 from ..errors import InputError
-from ._hold import BEGIN, END, Hold
+from ._hold import Hold
 from ._plan import Plan
 from ._presses import Press, Rest
 from ._rest import check_rest, rest_of
+from ._tuning import (
+    BASELINE_FALL_S,
+    BASELINE_RISE_S,
+    BEGIN,
+    CLEAR_STDS,
+    END,
+    MOST_SMOOTHED,
+    OTHER_STEP,
+    TOUCH,
+    UNREAD_S,
+)
 
-CLEAR = 5.0
-"""least load of a press that begins, in standard deviations of a smoothed load"""
-TOUCH = 0.2
-"""fraction of the hold; shorter loads are touches or noise, and ignored"""
-MOST_SMOOTHED = 0.25
-"""longest averaging time, over the hold"""
-BASELINE_RISE_S, BASELINE_FALL_S = 5.0, 0.3
-"""time constants with which the baseline follows rising and falling estimates between presses"""
-UNREAD_S = 0.2
-"""a cell that was read at rest, and is not read for longer than this, counts as pressed too hard"""
-OTHER_STEP = 0.4
-"""a press is assigned to another step if its (logarithmic) distance to that step's load is below this fraction of the
-distance to the present step's load"""
 AGAIN = "done again"
 
 
@@ -183,7 +181,7 @@ class Watch:
     def _look_for_press(self, loads: _Loads, time_s: float, load: FloatArray) -> list[Event]:
         if self.step is None:
             return []
-        begun = load > np.maximum(BEGIN * self.plan.loads_kpa[self.step], CLEAR * loads.noise_kpa)
+        begun = load > np.maximum(BEGIN * self.plan.loads_kpa[self.step], CLEAR_STDS * loads.noise_kpa)
         if not begun.any():
             return []
         self._hold = Hold(self.plan, self.step, time_s)
@@ -258,7 +256,7 @@ class _Loads:
         loaded = cell.forward((1,)).step(1.0, least_kpa)[0] / cell.rest_resistance_ohm - 1
         share = float(np.median((rest.std_ohm / rest_ohm)[rest.measured])) / max(abs(loaded), 1e-12)
         frame_s = rest_s / max(rest.frames - 1, 1)
-        self.smoothed = max(1, ceil((CLEAR * share / BEGIN) ** 2))
+        self.smoothed = max(1, ceil((CLEAR_STDS * share / BEGIN) ** 2))
         """number of frames over which readings are averaged"""
         if self.smoothed > 1 and self.smoothed * frame_s > MOST_SMOOTHED * hold_s:
             raise InputError(

@@ -179,7 +179,7 @@ def _with_networks(board: Board, design: Sections, *, by_nodes: bool) -> Board:
         gain=np.full(board.shape[1], inf),
         offset=np.zeros(board.shape[1]),
         bias=np.zeros(board.shape[1]),
-        supply=(-inf, inf),
+        supply=ends.swing,
         shared_by=ends.shared_by,
         multiplexed=False,
         line_ends=ends,

@@ -10,15 +10,8 @@ from ..common.measurement import Measurement
 from ._rest import Rest
 from ._statistics import Counters
 from ._tare import far_from_sheet
+from ._tuning import CLEAR_SHARE, FEW_VALID, FIRST_FRAMES, UNSETTLED_FRAMES
 
-SOON = 50
-"""number of first frames on which the driver judges board and skin"""
-UNSETTLED_FRAMES = 10
-"""first of these frames that are left out, since the noise is hardly known in them"""
-FEW = 0.02
-"""fraction of valid cells in those frames below which the driver reports the reason"""
-CLEAR_SPREAD = 0.01
-"""fraction of full scale: pressure error by unknown rest resistances from which on the driver reports them"""
 _NO_CELL = (
     "the data of the cells are not known, so there are no pressures (NaN): the board does not send them; give them, "
     'Skin.open(..., cell="cell.toml"), as `ohmskin fit` writes them'
@@ -86,10 +79,10 @@ class Advice:
         uncertain = measured.reason == int(Reason.UNCERTAIN)
         self._surest = min(self._surest, float(measured.uncertainty.min(initial=np.inf, where=uncertain)))
         self._alike |= bool((uncertain & (measured.least > 0.0) & np.isfinite(measured.greatest)).any())
-        if self.frames < SOON:
+        if self.frames < FIRST_FRAMES:
             return
         self.frames = None
-        if self._reasons[Reason.VALID] <= FEW * self._reasons.sum():
+        if self._reasons[Reason.VALID] <= FEW_VALID * self._reasons.sum():
             self._counters.remark = self._why_none_valid()
             if self._counters.remark:
                 self._counters.notices.append(self._counters.remark)
@@ -104,7 +97,7 @@ class Advice:
         found, others = "no cell was", "the best one"
         if valid:
             found, others = f"{100 * valid / cells:.1g} % of the cells were", "the best of the others"
-        start = f"{found} valid in the first {SOON} frames: "
+        start = f"{found} valid in the first {FIRST_FRAMES} frames: "
         reasons = self._reasons.copy()
         reasons[Reason.VALID] = 0
         why = Reason(int(reasons.argmax()))
@@ -142,7 +135,7 @@ class Advice:
             return self._sheet
         spread = self._rest.spread
         kpa = self._rest.kpa_of(spread)
-        if kpa < CLEAR_SPREAD * self._cell.full_scale_kpa:
+        if kpa < CLEAR_SHARE * self._cell.full_scale_kpa:
             return None
         return (
             f"without a tare pressures are known to {kpa:.2g} kPa at best: the cells differ from the rest resistance "

@@ -16,20 +16,10 @@ import math
 from collections import deque
 from itertools import pairwise
 
-BUCKET_S = 0.25
-"""s of the host; only the least delayed frame of each such interval is kept"""
-WINDOW_BUCKETS = 240
-"""intervals that are kept: the line follows a changing drift, as with temperature, within a minute"""
-SHORTEST_SPAN_S, DRIFT_SPAN_S = 0.5, 5.0
-"""a line is sloped from the first of these spans on, as the worst oscillators need it; the drift is reported from
-the second on"""
-LARGEST_DRIFT = 0.125
-"""on-chip RC oscillators are off by up to 10 %, a drift of 1 / 0.9 - 1; the rest is for the noise of delays"""
-PACE_PAIRS, UNEVEN_PAIRS = 4, 3
-"""intervals, one after the other, and how many of them must be too long or too short for a clock: a pause is one"""
-STEP_S = 0.05
-STEP_BUCKETS = 12
-"""if all frames of 3 s are later than the line by 50 ms, the board's clock was set or has paused"""
+from ._tuning import BUCKET_S, DRIFT_SPAN_S, GONE_S, KEEP_STATE_S, LARGEST_DRIFT, PACE_PAIRS, STEP_S
+
+WINDOW_BUCKETS, STEP_BUCKETS = round(KEEP_STATE_S / BUCKET_S), round(GONE_S / BUCKET_S)
+"""intervals that are kept, and those over which a step of the clock is seen"""
 
 
 class Pace(enum.Enum):
@@ -135,7 +125,7 @@ class ClockMap:
         pairs = [(x1 - x0, y1 - y0) for (x0, y0), (x1, y1) in pairwise(self._recent)]
         slow = sum(y > LARGEST_DRIFT * x for x, y in pairs)
         fast = sum(y < -LARGEST_DRIFT * x for x, y in pairs)
-        if max(slow, fast) >= UNEVEN_PAIRS:
+        if max(slow, fast) >= PACE_PAIRS - 1:
             passed_s = sum(x for x, _ in pairs)
             self.pace = Pace.SLOW if slow > fast else Pace.FAST
             self.rate = passed_s / (passed_s + sum(y for _, y in pairs))
@@ -147,7 +137,7 @@ class ClockMap:
     def _fit(self) -> None:
         hull = lower_hull(list(self._buckets))
         span_s = hull[-1][0] - hull[0][0]
-        if span_s >= min(DRIFT_SPAN_S, max(self._span_s, SHORTEST_SPAN_S)):
+        if span_s >= min(DRIFT_SPAN_S, max(self._span_s, 2.0 * BUCKET_S)):
             self._span_s = span_s
             # Of all lines below the points, the one with the least sum of distances passes below their mean. The
             # first of three buckets may hold frames that had waited in a buffer.

@@ -21,20 +21,10 @@ import numpy as np
 from ..common.arrays import FloatArray
 from ..common.compiled import Row, Rows, loop
 from ..common.measurement import Measurement
+from ._tuning import ALIKE_IN_STEPS, ALIKE_SHARE, DRIFT, FINE_FOR, LEAST_SCALE, SPEAKS
 
-LEAST = 0.1
-"""least relative error, by half a step of all other readings, that is removed"""
-FINE_FOR = 15
-"""frames for which a small error counts as small without being measured anew"""
 ROUNDINGS = 2.0
 """roundings in the scale's error: of the reading now, and of the reading at rest"""
-ALIKE, ALIKE_SHARE = 0.01, 0.8
-"""relative difference at rest up to which cells are rounded alike, and the least share of such cells in a column. Cells
-that differ by more than a step have independent errors, which hardly add up"""
-ALIKE_IN_STEPS = 2.0
-"""by how much equal readings, rounded alike, exceed independent errors in what a measurement states of a column"""
-SPEAKS = 3
-"""1/SPEAKS of a column's cells lie below the cell that represents the column"""
 
 
 class ColumnSteps:
@@ -51,7 +41,7 @@ class ColumnSteps:
         """
         self._per_ohm, self._side = 1.0 / rest_ohm, side
         apart = np.abs(rest_ohm / np.median(rest_ohm, axis=0) - 1.0)
-        alike = np.count_nonzero(apart < ALIKE, axis=0) >= ALIKE_SHARE * len(rest_ohm)
+        alike = np.count_nonzero(apart < DRIFT, axis=0) >= ALIKE_SHARE * len(rest_ohm)
         self._roundings = np.where(alike & rest_known, ROUNDINGS, 0.0)
         self.are_removed = bool(self._roundings.any())
         """whether any column has such cells; otherwise :meth:`without` changes nothing"""
@@ -73,7 +63,7 @@ class ColumnSteps:
             shared = np.abs(measured.column_half_step / conductance)
         # The other readings enter by their sum: all at once they make the root of their number of independent errors.
         shared = np.nan_to_num(np.fmin.reduce(shared, axis=0)) * (rows - 1) / math.sqrt(rows) / ALIKE_IN_STEPS
-        if shared.max() < LEAST:
+        if shared.max() < LEAST_SCALE:
             self._idle = FINE_FOR
             return conductance
         limits = np.exp(self._roundings * shared)

@@ -26,31 +26,22 @@ from ._port import Arrival, BytePort
 from ._reconnect import attempts
 from ._recording import Recording
 from ._stream import FrameStream, RawFrame
+from ._tuning import (
+    ANSWER_LIES_BEHIND,
+    ASK_AGAIN_S,
+    CLOSE_S,
+    GONE_S,
+    LONGEST_REST_S,
+    LONGEST_TURN_S,
+    MANY,
+    POLL_S,
+    READ_AGAIN_S,
+    RECENT_FRAMES,
+    RELEASE_S,
+    TEXT_SHARE,
+)
 
-ASK_AGAIN_S = 0.5
-"""a board that sends nothing for this time is asked again"""
-ASK_WHO_S = 0.25
-"""the same for a board that has not identified itself: a lossy line needs several answers for a whole description"""
-PROOF_S = 3.0
-"""after a reconnection: time for a board to prove that it is the same one"""
-MOST_EVENTS, LONGEST_TURN_S = 128, 0.02
-"""packets, and s of processor time, after which a turn of reading ends, whatever came: consumers, and the
-end of the skin, wait for one turn"""
-LONGEST_REST_S = 1.0
-"""most time that the thread rests after such a turn; it rests for as long as the turn took"""
-POLL_S = 0.05
-"""how long a consumer waits for the thread to have read, before it looks for a frame"""
-MOST_UNPROVEN = 1000
-"""frames kept until the board has proved that it is the same one"""
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
-READ_AGAIN_S = 0.0005
-"""a consumer who has read and converted for longer reads again, since newer frames may have come meanwhile"""
-ANSWER_LIES_BEHIND = 8
-"""queues of frames that may lie on the line before an answer"""
-JOIN_S = 2.0
-"""how long closing waits for the thread, which may be busy opening a port"""
-RELEASE_S = 20.0
-"""the same where the thread has a port, which the next to open it needs: a busy machine may keep it for seconds"""
 
 
 def await_free(name: str) -> None:
@@ -69,7 +60,6 @@ def await_free(name: str) -> None:
 SAMPLE_BYTES = 200
 """that a message may show of bytes that are no packets"""
 SHOWN = 40
-TEXT_SHARE = 0.9
 
 
 def looks_of(data: bytes, sent: bytes = b"") -> str:
@@ -95,7 +85,7 @@ class Absence:
     """infinite until the port is there again"""
     unproven: set[type[object]] = field(default_factory=set)
     """types of the packets that are still missing for the proof"""
-    waiting: deque[tuple[FramePacket, Arrival]] = field(default_factory=lambda: deque(maxlen=MOST_UNPROVEN))
+    waiting: deque[tuple[FramePacket, Arrival]] = field(default_factory=lambda: deque(maxlen=RECENT_FRAMES))
     """frames that arrived before the proof was complete"""
 
 
@@ -177,7 +167,7 @@ class Connection:
             LinkError: the port is gone.
 
         """
-        while not self.known.wait(min(ASK_WHO_S, timeout_s)):
+        while not self.known.wait(min(ASK_AGAIN_S / 2, timeout_s)):
             if time.monotonic() - self._asked_at < timeout_s:
                 continue
             self.poll(patient=True)
@@ -226,7 +216,7 @@ class Connection:
         Errors of the port are left to the thread, and so are bytes of a flood. Before a time-out is reported, whoever
         waits is ``patient``: a thread that reads may be kept from it by other programs.
         """
-        self._read_for_consumer(JOIN_S if patient else POLL_S)
+        self._read_for_consumer(CLOSE_S if patient else POLL_S)
         if self._clock() - self._read_at > READ_AGAIN_S:
             self._read_for_consumer(POLL_S)
 
@@ -348,7 +338,7 @@ class Connection:
             port.interrupt()
         self.frames.close(self._closed())
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
-            self._thread.join(JOIN_S if port is None else RELEASE_S)
+            self._thread.join(CLOSE_S if port is None else RELEASE_S)
 
     def _closed(self) -> LinkEnded:
         return LinkEnded(f"{self.port_name}: the skin is closed")
@@ -422,7 +412,7 @@ class Connection:
             self.known.set()
         self._ask()
         self._asked_at = min(self._asked_at, time.monotonic())
-        ask_at = time.monotonic() + ASK_WHO_S
+        ask_at = time.monotonic() + ASK_AGAIN_S / 2
         again_s = self._family.repeat_start_s or inf
         again_at = time.monotonic() + again_s
         behind = False
@@ -448,7 +438,7 @@ class Connection:
                 ask_at, self._has_frames = now + ASK_AGAIN_S, False
             elif now >= ask_at:
                 self._ask()
-                ask_at = now + (ASK_AGAIN_S if known else ASK_WHO_S)
+                ask_at = now + (ASK_AGAIN_S if known else ASK_AGAIN_S / 2)
 
     def _is_full(self) -> bool:
         """Whether no frame can be taken. An answer lies behind frames, hence some more are taken until it comes."""
@@ -488,7 +478,7 @@ class Connection:
                         break
                     done, now_s = done + came, time.thread_time()
                     until_s = until_s or now_s + LONGEST_TURN_S
-                    if done >= MOST_EVENTS or now_s > until_s:
+                    if done >= MANY or now_s > until_s:
                         return not frames.lossless
         except OhmskinError:
             raise
@@ -651,7 +641,7 @@ class Connection:
                     pending.numbers.clear()
                 known = self.handshake.identity, self.handshake.description
                 absence.unproven = {type(packet) for packet in known if packet is not None}
-                absence.proof_until_s = time.monotonic() + PROOF_S
+                absence.proof_until_s = time.monotonic() + GONE_S
             return
         # "A board was found and refused" is more informative than "the port is not there".
         found = failure if str(error) == str(absence.because) else error

@@ -19,9 +19,7 @@ from ._converted import Converted
 from ._frame import Frame
 from ._frames import Frames
 from ._stream import RawFrame
-
-CLOSE_S = 2.0
-"""how long closing waits for a running callback, which may itself be waiting for the closing thread"""
+from ._tuning import CLOSE_S
 
 
 class Source(Protocol):

@@ -7,15 +7,14 @@ import math
 import numpy as np
 
 from ..common.compiled import Places, loop
-from ._patches import START_SHARE, WAKE_S, find, find_rim, sort_by_label
+from ._patches import find, find_rim, sort_by_label
 from ._touch import Memory, Scan, Skin
 from ._tracks import follow
+from ._tuning import ABSENT_S, START_SHARE, WAKE_S
 from ._watershed import part
 
 NEWTON = 1e-3
 """of one kPa on one mm^2"""
-MISSING_S = 0.2
-"""a cell without a reading for longer is missing; until then its last pressure counts"""
 
 
 @loop
@@ -34,7 +33,7 @@ def take_frame(skin: Skin, memory: Memory, scan: Scan, time_s: float) -> int:
         cell, kpa = memory.cells[i], scan.pressure[i]
         if not (scan.unread[i] or math.isnan(kpa)):
             cell.read_s = time_s
-        scan.missing[i] = skin.spots[i].exists > 0.0 and time_s - cell.read_s > MISSING_S
+        scan.missing[i] = skin.spots[i].exists > 0.0 and time_s - cell.read_s > ABSENT_S
         if kpa > START_SHARE * full_scale_kpa:
             cell.step_kpa = max(cell.step_kpa, kpa - cell.last_kpa)
             # In the first frame: most likely it has been pressed for longer than an intermittent contact lasts.

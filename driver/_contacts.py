@@ -29,13 +29,8 @@ from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..common.compiled import Records, record
 from ..common.geometry import Geometry
 from ._contact_frame import take_frame
-from ._tare import KNOWN_DRIFT
 from ._touch import Memory, Patch, Scan, Skin, Untouched
-
-DRIFT_PER_S = 0.003
-"""relative change of a rest resistance per second: warming up takes minutes. A finger presses much faster"""
-MOST_DEAD = 256
-"""frames without contacts that nobody holds any more, until they are forgotten"""
+from ._tuning import DRIFT_PER_S, KNOWN_DRIFT, QUEUE
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +188,7 @@ class ContactsOfFrames:
         self._asked = False
         self._waiting: deque[ref[PressureView]] = deque()
         """frames that were not taken yet, in their order, as long as anybody holds them"""
-        self._most_waiting = MOST_DEAD
+        self._most_waiting = QUEUE
 
     def of(self, view: PressureView) -> tuple[Contact, ...]:
         """The contacts of a frame that has passed by."""
@@ -229,4 +224,4 @@ class ContactsOfFrames:
 
     def _forget_dead(self) -> None:
         self._waiting = deque(each for each in self._waiting if each() is not None)
-        self._most_waiting = 2 * len(self._waiting) + MOST_DEAD
+        self._most_waiting = 2 * len(self._waiting) + QUEUE

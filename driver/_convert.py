@@ -27,13 +27,8 @@ from ._reading import CountReader
 from ._rest import Rest
 from ._statistics import Counters
 from ._stream import RawFrame
-from ._tare import KNOWN_DRIFT, RestChange
-
-KNOWN_FRAMES = 20
-"""frames before new rest resistances that the estimator sees again with them: as many as a usual tare has. They tell it
-that the skin is at rest, or what lies on it"""
-KEEP_STATE_S = 60.0
-"""after a longer gap the estimator restarts: the loads during the gap are unknown"""
+from ._tare import RestChange
+from ._tuning import KEEP_STATE_S, KNOWN_DRIFT, TARE_FRAMES
 
 CLOCK_DIGITS = 6
 """decimals of the seconds between frames: boards count microseconds. The estimator caches its work per length of step:
@@ -112,7 +107,7 @@ class Converter:
         self._last: RawFrame | None = None
         self._last_s: float | None = None
         """of the last frame, on the estimator's time scale"""
-        self._recent: deque[tuple[float, Measurement]] = deque(maxlen=KNOWN_FRAMES)
+        self._recent: deque[tuple[float, Measurement]] = deque(maxlen=TARE_FRAMES)
         """times and readings of the last frames"""
         self.notices = counters.notices
 
@@ -146,7 +141,7 @@ class Converter:
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
         """Use these rest resistances (rows, columns) from now on (None: those without a tare).
 
-        The estimator begins anew with the last :data:`KNOWN_FRAMES` frames.
+        The estimator begins anew with the last :data:`TARE_FRAMES` frames.
         """
         self.rest = rest_ohm
         if self._rest is not None:

@@ -14,11 +14,7 @@ from ..errors import InputError, LinkError, OhmskinError
 from ..wire import Family, FramePacket, Identity, Order, board_family, host_protocol
 from ._port import open_port
 from ._port_names import emulated_ports, serial_ports, usb_serial_number
-
-SEARCH_S = 1.5
-"""s for which a silent port is asked"""
-LONGEST_SEARCH_S = 5.0
-"""s for which a board opened by its serial number may leave the question unanswered"""
+from ._tuning import ANSWER_S, SEARCH_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +76,7 @@ def find_board(
     ports: Iterable[str] | None = None,
     *,
     board: str | Path | Family = "ohmskin",
-    timeout: float = LONGEST_SEARCH_S,
+    timeout: float = ANSWER_S,
 ) -> str:
     """The port of the board with this serial number, its own or that of its USB device.
 

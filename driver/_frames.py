@@ -35,6 +35,7 @@ from ._convert import Converter
 from ._converted import Converted
 from ._statistics import Counters
 from ._stream import RawFrame
+from ._tuning import CONVERTED_IN_TURN, LATE_S, REMEMBERED
 
 Delivery = Literal["newest", "every", "lossless"]
 """which frames a reader of the skin gets
@@ -47,13 +48,6 @@ Delivery = Literal["newest", "every", "lossless"]
     Every frame, in order. The port is not read while ``queue`` frames wait. For recordings and for emulated boards
     that wait for their host; a real board then has to drop frames itself.
 """
-LATE_S = 0.01
-"""s of processor time that a reader of the newest frame spends on those before it. Those that are left then are
-skipped: boards may send faster than a computer converts"""
-CONVERTED_IN_TURN = 4
-"""frames that the thread converts before it reads the port again, whose buffers hold some milliseconds"""
-AT_ONCE = 64
-"""frames that are converted as one block"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,7 +347,7 @@ class Frames:
     def _convert_up_to(self, last: int, most: int | None = None) -> bool:
         """Convert the frames up to the number ``last``, at most ``most`` of them; returns whether frames are left."""
         until_s = math.inf
-        at_once = AT_ONCE if most is None else most
+        at_once = REMEMBERED if most is None else most
         if self.newest_only:
             at_once = min(at_once, CONVERTED_IN_TURN)
             if self.done + at_once < last:

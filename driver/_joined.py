@@ -2,7 +2,7 @@
 
 The rows of the boards stand below each other, and a board of fewer columns has no cells in the others. A joined frame
 comes as soon as every board has sent a new one, or when one sends its next before that, so that none is left out. It
-shows the newest frame of each board. A board that has not sent for :data:`SILENT_S` is not waited for, and its cells
+shows the newest frame of each board. A board that has not sent for :data:`ABSENT_S` is not waited for, and its cells
 are not valid (``Reason.MISSING``).
 
 All boards of a computer are on its one clock (:attr:`.Frame.monotonic_time`); recordings of one skin are merged by the
@@ -16,25 +16,22 @@ import heapq
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol
 
 import numpy as np
 
 from ..circuits import Reason
 from ..common.arrays import AnyArray
 from ..common.geometry import Geometry
-from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
+from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView, Touch
 from ._converted import Converted
 from ._frame import Frame
 from ._frames import Delivery, Frames
-from ._skin import BoardSkin
 from ._statistics import Counters
 from ._stream import RawFrame
+from ._tuning import ABSENT_S, BETWEEN_PITCHES
 
-SILENT_S = 0.2
-"""a board that has sent no frame for longer is not waited for; until then its last one counts"""
-BETWEEN_PITCHES = 3.0
-"""distance of boards whose places nobody has given, in pitches: contacts do not go across"""
 SAME_PLACE_MM = 1e-3
 _MISSING, _NO_CELL, _NOISY = int(Reason.MISSING), int(Reason.NO_CELL), int(Reason.UNCERTAIN)
 
@@ -91,13 +88,13 @@ class Joiner:
     def add(self, board: int, frame: Frame) -> list[RawFrame]:
         """The joined frames, none or more, that follow from a frame of a board."""
         waits_long = any(
-            fresh and last is not None and frame.monotonic_time - last.monotonic_time > SILENT_S
+            fresh and last is not None and frame.monotonic_time - last.monotonic_time > ABSENT_S
             for fresh, last in zip(self._fresh, self._last, strict=True)
         )
         joined = [self._join()] if self._fresh[board] or waits_long else []
         self._last[board], self._fresh[board], self.newest = frame, True, frame
         if all(
-            fresh or last is None or frame.monotonic_time - last.monotonic_time > SILENT_S
+            fresh or last is None or frame.monotonic_time - last.monotonic_time > ABSENT_S
             for fresh, last in zip(self._fresh, self._last, strict=True)
         ):
             joined.append(self._join())
@@ -118,7 +115,7 @@ class Joiner:
         for part, (rows, _), is_new in zip(parts, self._shapes, fresh, strict=True):
             own = slice(first, first + rows)
             old[own] = not is_new
-            if part is None or newest.monotonic_time - part.monotonic_time > SILENT_S:
+            if part is None or newest.monotonic_time - part.monotonic_time > ABSENT_S:
                 reason[own][reason[own] != _NO_CELL] = _MISSING
             first += rows
         pressure = self._cells(parts, lambda frame: frame.pressure)
@@ -176,10 +173,25 @@ def total(numbers: Sequence[int | None]) -> int | None:
     return None if None in numbers else sum(number or 0 for number in numbers)
 
 
+class Board(Protocol):
+    """What is asked of a board's own skin."""
+
+    @property
+    def port_name(self) -> str:
+        """For messages."""
+
+    @property
+    def away(self) -> str | None:
+        """Why its port is lost; None: it is there."""
+
+    def __next__(self) -> Frame:
+        """Its next frame."""
+
+
 class JoinedFrames(Frames):
     """The queue of joined frames, which come converted."""
 
-    def __init__(self, joiner: Joiner, boards: Sequence[BoardSkin], delivery: Delivery, queue: int) -> None:
+    def __init__(self, joiner: Joiner, boards: Sequence[Board], delivery: Delivery, queue: int) -> None:
         super().__init__(delivery, queue, Counters())
         self._joiner, self._boards = joiner, boards
         self._joining = threading.RLock()
@@ -201,16 +213,25 @@ class JoinedFrames(Frames):
         """Take the frames of recordings when they are asked for."""
 
         def of_board(board: int) -> Iterator[tuple[float, int, Frame]]:
-            for frame in self._boards[board]:
+            while True:
+                try:
+                    frame = next(self._boards[board])
+                except StopIteration:
+                    return
+                except ProtocolError as error:  # a later frame may be good
+                    self.report(error)
+                    continue
                 yield frame.host_time, board, frame
 
         self._played = heapq.merge(*map(of_board, range(len(self._boards))))
 
     def catch_up(self, last: int | None = None) -> None:
         """Play recordings up to the joined frame ``last``; None: up to the next one."""
+        if self._played is None:
+            return
         with self._joining:
             last = 1 + (0 if self.newest is None else self.newest.index) if last is None else last
-            while self._played is not None and not (self.has_after(last - 1) or self.is_full() or self.end):
+            while not (self.has_after(last - 1) or self.is_full() or self.end):
                 following = next(self._played, None)
                 if following is None:
                     self.finish(LinkEnded("the recordings are over"))
@@ -248,7 +269,7 @@ class JoinedFrames(Frames):
 class JoinedBoards:
     """The boards of a joined skin in the place of a :class:`._connection.Connection`."""
 
-    def __init__(self, boards: Sequence[BoardSkin], frames: JoinedFrames, joiner: Joiner) -> None:
+    def __init__(self, boards: Sequence[Board], frames: JoinedFrames, joiner: Joiner) -> None:
         self._boards, self._joiner = boards, joiner
         self.frames: Frames = frames
 

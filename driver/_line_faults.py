@@ -29,48 +29,31 @@ from ..cell import Cell
 from ..common.arrays import BoolArray, FloatArray
 from ..common.compiled import Rows, loop
 from ..common.measurement import Measurement
+from ._tuning import (
+    ASIDE,
+    BELOW_REST,
+    CREEP_KEPT,
+    EVERY_S,
+    FIRST_VERDICT_S,
+    FITS,
+    LAST_VERDICT_S,
+    LEAST_CELLS,
+    LEAST_CHANGE,
+    LEAST_CREEP,
+    LONGEST_GAP_S,
+    ONSET_S,
+    OVERLOAD,
+    RESTED,
+    SHARE_OF_CELLS,
+    SPREADS,
+    STEPS,
+    SURE_STDS,
+    UNEQUAL,
+)
 
-EVERY_S = 0.08
-"""s from one update of the lines to the next"""
-LONGEST_GAP_S = 1.0
-"""s without a frame, after which no change is known to be sudden"""
-LEAST_CELLS = 4
-"""least number of cells of a line that must move together; fewer may be a fingertip"""
-LEAST_CHANGE = 0.03
-"""least change of a resistance (natural logarithm) that is examined"""
-SHARE_OF_CELLS = 0.75
-"""share of a line's cells that must agree; the others may be pressed or released meanwhile"""
-ASIDE = 0.25
-"""fraction of a line's change. The rest of the board must have moved by less; a faulty line whose change has come down
-to less is sound again"""
-UNEQUAL = 0.03
-"""fraction of a change by which the cells of a cracked line may differ, beside noise: their columns load them
-differently"""
-BELOW_REST = 0.2
-"""margin (natural logarithm) below rest and below all that a cell has read, where no load takes it. Ageing is slower"""
-SPREADS = 3.0
-"""standard deviations of unknown rest resistances, likewise; also of readings that are to agree"""
-FIRST_VERDICT_S, LAST_VERDICT_S = 1.0, 8.0
-"""time after the change of a line in which creep is compared"""
-SURE_STDS = 5.0
-"""standard deviations of a reading, or of a test statistic, that noise does not reach"""
-STEPS = 2.0
-"""standard deviations by ADC steps that no reading errs by: a rounding error is at most the square root of 3 of them"""
-LEAST_CREEP = 0.002
-"""error of the creep model, root mean square, relative to the change: smaller differences decide nothing"""
-RESTED = 0.1
-"""relative to the change: cells at most this far above their least reading creep like cells at rest"""
-KEPT = 1.0 / 3.0
-"""least creep of a load over that of the model; the largest is the inverse"""
-ONSETS_S = 0.0, 0.16, 0.5
-"""s by which a load may have begun before its change was seen, or for which it may have come on"""
-FITS = 2.0
-"""largest mean square of what a crack leaves unexplained, over the variance of the noise"""
 TINY = 1e-300
 POINTS = 33
 """points in time of the creep table"""
-OVERLOAD = 4.0
-"""change of a resistance over the change at full scale, which no press on a whole line exceeds"""
 LOADS = np.linspace(0.02, 1.0, 25)
 """loads of the creep table, as fractions of full scale"""
 
@@ -177,10 +160,10 @@ class _Change:
         changes, cracked = _centred(np.array(self.changes).T)
         if_cracked = _squares(changes - cracked)
         if_loaded = math.inf
-        for onset_s in ONSETS_S:
+        for onset_s in (0.0, 2.0 * EVERY_S, ONSET_S):
             (further,) = _centred(creep.of(self.size, times + onset_s)[None])
             scale = changes @ further / max(further @ further, TINY)
-            if_loaded = min(if_loaded, _squares(changes - np.clip(scale, KEPT, 1.0 / KEPT) * further))
+            if_loaded = min(if_loaded, _squares(changes - np.clip(scale, CREEP_KEPT, 1.0 / CREEP_KEPT) * further))
         # The variance of a median of n cells is pi / 2 times that of their mean, unless the cells share their noise.
         differences = np.diff(changes - cracked)
         variance = max(0.5 * math.pi * noise**2 / int(self.cells.sum()), 0.5 * _squares(differences) / len(differences))

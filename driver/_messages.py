@@ -35,35 +35,19 @@ _CONTACT_FIELDS = {
     "peak_kpa": _NUMBER,
     "interpolated_n": _NUMBER,
 }
-_IMAGE_SCHEMA = {
-    "title": "foxglove.RawImage",
-    "type": "object",
-    "properties": {
-        "timestamp": _TIME,
-        "frame_id": {"type": "string"},
-        "width": {"type": "integer"},
-        "height": {"type": "integer"},
-        "encoding": {"type": "string"},
-        "step": {"type": "integer"},
-        "data": {"type": "string", "contentEncoding": "base64"},
-    },
-}
+_WHOLE, _TEXT, _DATA = {"type": "integer"}, {"type": "string"}, {"type": "string", "contentEncoding": "base64"}
 _POINTS = ("x", "y", "z", "value")
 """fields of a point, float32 each: m, and kPa or counts above those at rest, as in the image"""
 _FLOAT32 = 7
 """of foxglove.PackedElementField"""
 _UNMOVED = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
-_CLOUD_SCHEMA = {
-    "title": "foxglove.PointCloud",
-    "type": "object",
-    "properties": {
-        "timestamp": _TIME,
-        "frame_id": {"type": "string"},
-        "pose": {"type": "object"},
-        "point_stride": {"type": "integer"},
-        "fields": {"type": "array", "items": {"type": "object"}},
-        "data": {"type": "string", "contentEncoding": "base64"},
-    },
+_HEAD = {"timestamp": _TIME, "frame_id": _TEXT}
+_IMAGE_FIELDS = {"width": _WHOLE, "height": _WHOLE, "encoding": _TEXT, "step": _WHOLE, "data": _DATA}
+_CLOUD_FIELDS = {
+    "pose": {"type": "object"},
+    "point_stride": _WHOLE,
+    "fields": {"type": "array", "items": {"type": "object"}},
+    "data": _DATA,
 }
 _FRAME_FIELDS = {
     "sequence": {"type": ["integer", "null"]},
@@ -79,11 +63,16 @@ _FRAME_FIELDS = {
     "contacts": {"type": "array", "items": {"type": "object", "properties": _CONTACT_FIELDS}},
 }
 
+
+def _schema(title: str, fields: Mapping[str, Any]) -> Mapping[str, Any]:
+    return {"title": title, "type": "object", "properties": fields}
+
+
 MESSAGE_SCHEMAS: Mapping[str, Mapping[str, Any]] = {
-    PRESSURE_TOPIC: _IMAGE_SCHEMA,
-    COUNTS_TOPIC: _IMAGE_SCHEMA,
-    CELLS_TOPIC: _CLOUD_SCHEMA,
-    FRAME_TOPIC: {"title": "ohmskin.Frame", "type": "object", "properties": _FRAME_FIELDS},
+    PRESSURE_TOPIC: _schema("foxglove.RawImage", _HEAD | _IMAGE_FIELDS),
+    COUNTS_TOPIC: _schema("foxglove.RawImage", _HEAD | _IMAGE_FIELDS),
+    CELLS_TOPIC: _schema("foxglove.PointCloud", _HEAD | _CLOUD_FIELDS),
+    FRAME_TOPIC: _schema("ohmskin.Frame", _FRAME_FIELDS),
 }
 """topic -> JSON schema, named by its title"""
 
@@ -107,9 +96,7 @@ def points_of(frame: Frame, values: FloatArray) -> SingleArray:
 
 def _cloud(frame: Frame, values: FloatArray) -> dict[str, Any]:
     points = points_of(frame, values)
-    return {
-        "timestamp": _stamp(frame),
-        "frame_id": "skin",
+    return _head(frame) | {
         "pose": _UNMOVED,
         "point_stride": points.strides[0],
         "fields": [{"name": name, "offset": 4 * k, "type": _FLOAT32} for k, name in enumerate(_POINTS)],
@@ -117,17 +104,15 @@ def _cloud(frame: Frame, values: FloatArray) -> dict[str, Any]:
     }
 
 
-def _stamp(frame: Frame) -> dict[str, int]:
+def _head(frame: Frame) -> dict[str, Any]:
     seconds, nanoseconds = divmod(round(frame.host_time * 1e9), 10**9)
-    return {"sec": seconds, "nsec": nanoseconds}
+    return {"timestamp": {"sec": seconds, "nsec": nanoseconds}, "frame_id": "skin"}
 
 
 def _image(frame: Frame, values: FloatArray) -> dict[str, Any]:
     image = np.ascontiguousarray(values, dtype="<f4")
     rows, columns = image.shape
-    return {
-        "timestamp": _stamp(frame),
-        "frame_id": "skin",
+    return _head(frame) | {
         "width": columns,
         "height": rows,
         "encoding": "32FC1",

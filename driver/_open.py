@@ -24,10 +24,10 @@ from ..wire import Order
 from ._connection import await_free
 from ._consumer import Consumer
 from ._contacts import Touch
-from ._discover import LONGEST_SEARCH_S, find_board
+from ._discover import find_board
 from ._frames import Delivery
 from ._joined import JoinedBoards, JoinedFrames, Joiner, total, widened
-from ._options import QUEUE, Options, SkinSettings
+from ._options import Options, SkinSettings
 from ._orders import Answer
 from ._port import Arrival, BytePort
 from ._port_names import EMULATED_HERE, has_gone, is_unpaced, refuse_missing
@@ -36,7 +36,8 @@ from ._recording import Recording
 from ._replay import RecordedSettings, ReplayPort
 from ._skin import BoardSkin
 from ._statistics import LinkStatistics
-from ._tare import KNOWN_DRIFT, SPREAD, Tare
+from ._tare import Tare
+from ._tuning import ANSWER_S, KNOWN_DRIFT, QUEUE, SPREAD
 
 
 class Skin(BoardSkin):
@@ -132,7 +133,7 @@ def _finder(port: str | None, asked: Options, baudrate: int | None) -> PortFinde
     if port is None:
         if asked.serial_number is None:
             raise InputError("neither a port nor a serial number; expected one of them")
-        port = find_board(asked.serial_number, board=family, timeout=min(asked.timeout_s, LONGEST_SEARCH_S))
+        port = find_board(asked.serial_number, board=family, timeout=min(asked.timeout_s, ANSWER_S))
     refuse_missing(port)  # before the wait for the compiler
     await_free(port)
     return PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)

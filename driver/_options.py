@@ -15,10 +15,10 @@ from ..wire import Family, board_family
 from ._calibration import Calibration
 from ._frames import Delivery
 from ._replay import NOTHING_RECORDED, RecordedSettings
+from ._tuning import QUEUE
 
 NATIVE = "ohmskin"
 """the family that is meant where none is named"""
-QUEUE = 256
 
 
 class SkinSettings(TypedDict, total=False):

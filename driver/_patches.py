@@ -13,29 +13,21 @@ import numpy as np
 from ..common.compiled import Flags, PlaceRows, Places, Records, Row, loop
 from ..common.noise import select
 from ._touch import Line, Memory, Patch, Scan, Skin, Spot, Touched
+from ._tuning import (
+    ALIKE,
+    AT_ONCE,
+    HELD_STDS,
+    INTERMITTENT_S,
+    JOIN_SHARE,
+    LONGEST_IN_LINE,
+    RIM_SHARE,
+    STANDS_OUT_STDS,
+    START_SHARE,
+    SURE_STDS,
+    TOGETHER_STDS,
+    WAKE_SHARE,
+)
 
-START_STDS, JOIN_STDS, STAY_STDS = 5.0, 2.5, 0.5
-"""pressure of a cell, in its standard deviations, that begins a contact, joins one, stays in one"""
-START_SHARE, JOIN_SHARE, STAY_SHARE = 0.03, 0.0192, 0.015
-"""lower bounds of these thresholds, as fractions of full scale: the standard deviation leaves out slow errors of the
-cell model"""
-RIM_SHARE = 0.005
-"""fraction of full scale, down to which the force of cells around a contact counts as its own"""
-WAKE_SHARE, WAKE_S = 0.15, 1.0
-"""fraction of the largest pressure in a cell and those near it, forgotten with this time constant: what a finger
-leaves in the estimates behind it and beside it is less, and is no contact"""
-INTERMITTENT_S, STANDS_OUT = 0.1, 8.0
-"""a new patch within one row or column may be a disturbance of the converter: it is a contact in its second frame. One
-that electrical faults may have made (:func:`may_be_fault`) is one after this time, unless it rose over several frames
-and exceeds this many standard deviations: a fault comes and goes at once"""
-AT_ONCE, ALIKE = 0.5, 0.5
-"""share of a pressure that comes with one frame in a jump; least pressure in faulty lines over their largest"""
-LONGEST_IN_LINE = 3
-"""cells within one line that a stylus covers"""
-TOGETHER_STDS = 2.0
-"""a contact also begins where the mean of neighbouring cells, weighted like a fingertip, exceeds this many times the
-mean of their standard deviations. Neighbours share their history, so their errors are taken for common ones. The mean
-without the cell's row, and without its column, must exceed it, too: faults of wires and converters move one line"""
 TIE = 1e-6
 """relative difference of distances that are equal but for rounding"""
 ROW, COLUMN = 0, 1
@@ -70,7 +62,7 @@ def find(skin: Skin, memory: Memory, scan: Scan) -> int:
                 largest = max(largest, cells[other].wake_kpa)
             wake[i] = WAKE_SHARE * largest
         pressed = excess[i] > max(START_SHARE * full, wake[i])  # False where NaN
-        begins[i] = pressed and excess[i] > START_STDS * std[i]
+        begins[i] = pressed and excess[i] > SURE_STDS * std[i]
         loaded[i] = pressed and not begins[i]
         some = some or begins[i] or before[i] > 0
         unsure = unsure or loaded[i]
@@ -84,7 +76,7 @@ def find(skin: Skin, memory: Memory, scan: Scan) -> int:
         return 0
     wanted = np.empty(count, np.bool_)
     for i in range(count):
-        stds, share = (STAY_STDS, STAY_SHARE) if before[i] > 0 else (JOIN_STDS, JOIN_SHARE)
+        stds, share = (HELD_STDS, START_SHARE / 2.0) if before[i] > 0 else (SURE_STDS / 2.0, JOIN_SHARE)
         wanted[i] = begins[i] or excess[i] > max(stds * std[i], share * full)
     bridge(wanted, skin.opposite, scan)
     found = label(wanted, skin.near, connected)
@@ -299,7 +291,7 @@ def is_no_disturbance(own: Places, skin: Skin, cells: Records[Touched], scan: Sc
     for i in own:
         cell, above = cells[i], scan.excess[i]
         since, lasts = min(since, cell.pressed_s), max(lasts, cell.read_s - cell.pressed_s)
-        under_range = under_range and not above > STANDS_OUT * scan.known_std[i]
+        under_range = under_range and not above > STANDS_OUT_STDS * scan.known_std[i]
         at_once = at_once or cell.step_kpa > AT_ONCE * above
     if since == -math.inf:
         lasts = math.inf

@@ -23,20 +23,10 @@ from ..common.rendezvous import END_OF_TRANSMISSION, announced
 from ..common.system import POSIX, urgent_data
 from ..errors import LinkEnded, LinkError
 from ._port_names import EMULATED_HERE, reason_of, refuse_terminal, why_not_opened
+from ._tuning import ANSWER_S, GONE_S, NEGOTIATION_S, READ_BYTES, URL_WAIT_S, WRITE_TIMEOUT_S
 
 BAUDRATE = 1_000_000
 """for a real UART; USB, pseudo-terminals and TCP ignore it"""
-WRITE_TIMEOUT_S = 1.0
-"""a line that takes no byte for this long is broken"""
-URL_WAIT_S = 0.1
-"""longest wait for a byte by pyserial's own method, which cannot be interrupted"""
-CONNECT_TIMEOUT_S = 5.0
-NEGOTIATION_S = 15.0
-"""longest wait for an RFC 2217 server to agree on its options"""
-UNHEARD_S = 3.0
-"""a TCP peer that acknowledges nothing for this long is gone; a cable pulled at its end gives no other sign"""
-READ_BYTES = 8192
-"""bytes of a read at most, so that one read is a small part of a turn, however fast a board sends"""
 _SHORT = 1024
 """bytes below which one system call has returned everything: terminals return up to 4095 at once, sockets more"""
 _EMULATOR = "ohmskin.emulator"
@@ -277,7 +267,7 @@ class SocketPort(DescriptorPort):
             address = urlsplit(name)
             if not address.hostname or address.port is None:
                 raise ValueError("expected socket://HOST:PORT")
-            self._socket = socket.create_connection((address.hostname, address.port), timeout=CONNECT_TIMEOUT_S)
+            self._socket = socket.create_connection((address.hostname, address.port), timeout=ANSWER_S)
         except (OSError, ValueError) as error:
             raise LinkError(f"{name}: cannot be opened: {reason_of(error)}") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -389,9 +379,9 @@ def _queued_bytes(device: serial.SerialBase) -> bytes:
 
 
 def _end_when_unheard(connection: socket.socket) -> None:
-    """Break a TCP connection after :data:`UNHEARD_S` without an acknowledgement (Linux)."""
+    """Break a TCP connection after :data:`GONE_S` without an acknowledgement (Linux)."""
     if hasattr(socket, "TCP_USER_TIMEOUT"):
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1e3 * UNHEARD_S))
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1e3 * GONE_S))
 
 
 def over(name: str) -> LinkEnded:

@@ -14,16 +14,9 @@ from ..common.compiled import Rows, loop
 from ..common.measurement import Measurement
 from ..common.noise import NoiseEstimate
 from ..errors import InputError, ProtocolError, SolverError
+from ._tuning import ALIKE_NOISE, ASSUMED, FINE_GUARD, FIRST_GUARD, GUARD_STDS, JUMP, MEASURED, NEGLIGIBLE
 
-_FIRST_GUARD = 12  # codes, guard band at a limit of the swing in the first frame, whose noise is unknown
-_FINE_GUARD = 2.0**-14  # of the range, likewise in two frames: the noise of converters of 18 to 24 bits is many codes
-_MEASURED = 3  # number of the first frame in which noise of any size may be known
-_GUARD = 6.0  # standard deviations of the noise, guard band: within it an output may stand at a limit of its swing
-_JUMP = 1.0 / 16.0  # of the converter's codes, from one frame to the next: a larger change of a reading is a jump
-_ALIKE = 1.5  # ratio of noises up to which the judgement of a reading stays about the same
-_NEGLIGIBLE = 0.05  # ADC steps of noise that are negligible beside the half step
 _UNSETTLED = int(Reason.UNSETTLED)
-_ASSUMED = 0.5  # ADC steps of noise before anything is measured
 
 
 class CountReader:
@@ -57,13 +50,13 @@ class CountReader:
         self._recover = live_recovery(design, accuracy=accuracy, lowest_ohm=lowest_ohm)
         self._step, self._lowest_volts = adc.step, float(volts_of_codes(design, np.zeros(1, dtype=np.int64))[0])
         # As arrays: NumPy converts a float to an array in every call, which takes as long as a small operation.
-        low, high = design.readout.supply
+        low, high = design.board.supply
         beyond_half_step = adc_error(design) - adc.step / 2  # V, by which a limited output may read inside it
         self._first, self._last = self._codes_within(low + beyond_half_step, high - beyond_half_step)
         self._rising = (design.board.drive > 0) != design.board.circuit.inverts  # whether current raises the outputs
         self._level = design.board.level
         self._design_noise = _noise_of(design)  # V
-        assumed = 0.0 if self._design_noise else _ASSUMED * adc.step
+        assumed = 0.0 if self._design_noise else ASSUMED * adc.step
         self._noise = NoiseEstimate(math.prod(self._shape), quantum=adc.step, assumed=assumed)
         self._buffer, self._each = np.empty(self._shape), self._noise.each.reshape(self._shape)
         self._flat = self._buffer.reshape(-1)  # a view
@@ -92,7 +85,7 @@ class CountReader:
     @property
     def _alike_noise(self) -> float:
         """V: a reading judged with up to this noise needs no new judgement with the present noise."""
-        return max(_ALIKE * self.noise_volts, _NEGLIGIBLE * self._step)
+        return max(ALIKE_NOISE * self.noise_volts, NEGLIGIBLE * self._step)
 
     def memory(self) -> tuple[float, NDArray[np.integer] | None]:
         """State of the noise measurement: standard deviation so far in ADC steps, and the last frame's counts."""
@@ -134,16 +127,16 @@ class CountReader:
         least, most = _middle_of_codes.unchecked(volts, self._step, self._lowest_volts)
         noise = self._noise.update(self._flat, self._silent)
         noise = noise if noise > self._design_noise else self._design_noise
-        guard = math.ceil(_GUARD * noise / self._step)  # codes
-        if self._noise.frames < _MEASURED and not self._design_noise:
-            first = _FIRST_GUARD if self._noise.frames == 1 else 0
-            guard = max(guard, first, math.ceil(_FINE_GUARD * self._codes))
+        guard = math.ceil(GUARD_STDS * noise / self._step)  # codes
+        if self._noise.frames < MEASURED and not self._design_noise:
+            first = FIRST_GUARD if self._noise.frames == 1 else 0
+            guard = max(guard, first, math.ceil(FINE_GUARD * self._codes))
         if guard != self._guard:
             self._guard, self._usual_codes = guard, self._usual_within(guard)
         lowest, highest = self._usual_codes
         room = self._last - most if self._rising else least - self._first  # codes, to a limit of the swing
         # Whether a reading may have jumped, and by more than this.
-        jumped = room < 0.5 * self._codes and self._noise.largest_change > max(room, _JUMP * self._codes) * self._step
+        jumped = room < 0.5 * self._codes and self._noise.largest_change > max(room, JUMP * self._codes) * self._step
         self._silent, self._in_doubt = 0, False
         if jumped or most >= highest or least < lowest or self._limited is not None:
             return self._read_limited(counts, most, noise, jumped=jumped)
@@ -222,7 +215,7 @@ class CountReader:
         """
         limited = _outside(counts, *self._within_limits(guard))
         # A reading at a limit does not change with the noise. A reading beside the limit, in a wide guard band, does.
-        at_limit = limited if guard <= _FIRST_GUARD else _outside(counts, *self._within_limits(0))
+        at_limit = limited if guard <= FIRST_GUARD else _outside(counts, *self._within_limits(0))
         self._silent = int(np.count_nonzero(at_limit))
         if jumped or (self._limited is not None and (self._limited > limited).any()):
             doubtful = self._beside_limit(counts) & ~limited
@@ -245,7 +238,7 @@ class CountReader:
         reading is therefore believed only if it was there before. A reading that has just left the limit, or has jumped
         there by more than such a noise, counts as limited until the next frame.
         """
-        guard = math.ceil(_GUARD * self._noise.if_all_noise / self._step)
+        guard = math.ceil(GUARD_STDS * self._noise.if_all_noise / self._step)
         came: BoolArray = np.abs(self._noise.change.reshape(counts.shape)) > guard * self._step
         if self._limited is not None:
             came = came | self._limited

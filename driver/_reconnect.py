@@ -16,8 +16,7 @@ from ._port_names import (
     serial_ports,
     usb_serial_number,
 )
-
-FIRST_DELAY_S, LONGEST_DELAY_S = 0.1, 1.0
+from ._tuning import FIRST_DELAY_S, LONGEST_DELAY_S
 
 
 class PortFinder:

@@ -26,6 +26,7 @@ from ..errors import InputError, MissingExtra
 from ._frame import Frame
 from ._messages import MESSAGE_SCHEMAS, messages_of
 from ._port import Arrival
+from ._tuning import CHUNK_BYTES, FLUSH_S, RECENT_FRAMES
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
@@ -35,10 +36,6 @@ METADATA = "ohmskin"
 FORMAT = "1"
 STAMP = struct.Struct("<dd")
 """before the bytes of each arrival: monotonic time and time since the epoch in s, bit for bit as the driver had them"""
-FLUSH_S = 1.0
-CHUNK_BYTES = 2**20
-MOST_WAITING = 1000
-"""most decoded frames that wait for the disk"""
 
 
 class Recording:
@@ -158,7 +155,7 @@ class Recording:
 
     def frame(self, frame: Frame) -> None:
         """Queue a decoded frame for writing, for viewers. Does not wait: dropped if the disk is far behind."""
-        if self._waiting.qsize() < MOST_WAITING:
+        if self._waiting.qsize() < RECENT_FRAMES:
             self._waiting.put(frame)
 
     def _write_frames(self) -> None:

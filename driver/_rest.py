@@ -12,23 +12,14 @@ import math
 import numpy as np
 
 from ..cell import Cell
-from ..common.arrays import FloatArray, scatter
+from ..common.arrays import MEDIAN_OF_NORMAL, FloatArray, scatter
 from ..common.measurement import STEP_STD, Measurement
 from ._calibration import Calibration
-from ._tare import DRIFT
+from ._tuning import DRIFT, EXPLAINED, LEAST_CELLS, UPDATE_AT, UPDATE_EVERY
 
-UPDATE_EVERY, UPDATE_AT = 8, 3
-"""interval in frames between two measurements of the cells' spread, and the frame of each interval that has it.
-Estimators look back at their readings in every fourth frame, from the first on; both in one frame would make it long"""
-LEAST_CELLS = 4
-"""least number of readings for a spread"""
-CAUTION = 1.17
-"""relative standard deviation, times the root of n, of a scale estimate from the median of n absolute deviations
-(normal distribution; its asymptotic efficiency is 37 %)"""
-LARGEST_HALF_STEP = 0.95
-"""largest relative error of a conductance by half a step that counts"""
-EXPLAINED = 0.95
-"""share of cells within half an ADC step of the data sheet from which on the spread counts as zero"""
+CAUTION = math.sqrt(math.pi / 8.0) * math.exp(MEDIAN_OF_NORMAL**2 / 2.0) / MEDIAN_OF_NORMAL
+"""relative standard deviation, times the root of n, of a scale estimate from the median q of n absolute deviations
+(normal distribution, 1 / (4 q times its density at q): an asymptotic efficiency of 37 %)"""
 
 
 class Rest:
@@ -83,7 +74,7 @@ class Rest:
             return
         self._frames += 1
         if self._frames == 1 or self._frames % UPDATE_EVERY == UPDATE_AT:
-            half_steps = np.minimum(np.nan_to_num(reading.steps_std) / STEP_STD, LARGEST_HALF_STEP)
+            half_steps = np.minimum(np.nan_to_num(reading.steps_std) / STEP_STD, EXPLAINED)
             self._measure(reading.resistance, -np.log1p(-half_steps))
 
     def _measure(self, resistance_ohm: FloatArray, half_steps: FloatArray) -> None:

@@ -22,14 +22,7 @@ from ._port import BytePort
 from ._replay import ReplayPort
 from ._statistics import Counters
 from ._tare import RestChange
-
-MOST_ABANDONED = 2
-"""set-ups that took too long and go on for nobody: each takes a thread, and up to hundreds of MB"""
-POLL_S = 0.05
-"""s between checks whether the compiler is at work, and how much processor time the set-up has used"""
-PATIENCE = 10.0
-"""limit on the real time of a set-up that waits for the processor, over the limit on its processor time. When a robot's
-computer boots, dozens of programs start at once"""
+from ._tuning import MOST_ABANDONED, PATIENCE, POLL_S
 
 
 def connect(port: BytePort, options: Options, reopen: Callable[[], BytePort] | None) -> Connection:

@@ -29,13 +29,9 @@ from ._recording import Recording
 from ._replay import RecordedSettings, ReplayPort
 from ._set_up import begin, connect
 from ._statistics import LinkStatistics
-from ._tare import KNOWN_DRIFT, SPREAD, Tare
+from ._tare import Tare
 from ._taring import Tares
-
-MANY = 128
-"""default of :meth:`Skin.read_many`"""
-MAX_AGE_S = 0.5
-"""default of :meth:`Skin.latest`: boards send at 10 Hz and more"""
+from ._tuning import KNOWN_DRIFT, MANY, MAX_AGE_S, SPREAD
 
 
 class BoardSkin:

@@ -9,15 +9,14 @@ from __future__ import annotations
 from collections import deque
 from statistics import median
 
-KEPT = 64
-"""arrivals over which the usual interval is computed"""
+from ._tuning import REMEMBERED
 
 
 class ArrivalTimes:
     """Frame times, arrival by arrival. Depends only on the added times, as :class:`._clock.ClockMap` does."""
 
     def __init__(self) -> None:
-        self._intervals_s: deque[float] = deque(maxlen=KEPT)
+        self._intervals_s: deque[float] = deque(maxlen=REMEMBERED)
         self._last_s: float | None = None
         self._received_s = 0.0
         self._step_s = 0.0

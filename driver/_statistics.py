@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..circuits import Reason
+from ._tuning import RECENT_FRAMES
 
-KEPT = 1000
-"""frames over which rate, age and jitter are computed"""
 PERCENTS = (50, 95, 99, 100)
 
 
@@ -96,10 +95,10 @@ class Counters:
     """why the skin should be tared"""
     notices: deque[str] = field(default_factory=deque)
     """warnings for the next reader who takes a frame"""
-    times_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+    times_s: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT_FRAMES))
     """of the last frames, on the time scale of the estimator"""
-    ages_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
-    delays_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+    ages_s: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT_FRAMES))
+    delays_s: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT_FRAMES))
 
     def snapshot(self, *, skipped: int, drift_ppm: float, clock_steps: int) -> LinkStatistics:
         """The numbers as they are now; ``skipped`` frames were not converted."""

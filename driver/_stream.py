@@ -16,23 +16,19 @@ from ._converted import Converted
 from ._port import Arrival
 from ._spacing import ArrivalTimes
 from ._statistics import Counters
+from ._tuning import (
+    BUFFERED_S,
+    CLOCK_SET_S,
+    CLOCK_SET_STEPS,
+    FASTER,
+    FASTEST_CLOCK,
+    LEAST_PERIOD_US,
+    LEAST_STEP_S,
+    REMEMBERED,
+)
 
-REMEMBERED = 64
-"""frames among which a duplicate is looked for, and by which a packet may be late"""
 HALF_RANGE = 2**31
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
-CLOCK_SET_S, CLOCK_SET_STEPS = 1.0, 100
-"""the board's clock was set forward if it advances by so many s more than the host's, and by so many usual steps"""
-FASTER = 10.0
-"""largest ratio of a board's frame rate to its usual one that may explain a jump of the numbers"""
-LEAST_PERIOD_US = 10.0
-"""shortest time between two frames of any board"""
-BUFFERED_S = 10.0
-"""longest time for which the bytes of a board without a clock may have waited in buffers"""
-FASTEST_CLOCK = 4.0
-"""s in a second: a divider that was set wrongly; a time that goes faster is a simulation's or a recording's"""
-LEAST_STEP_S = 1e-6
-"""least step of time for the estimator, which needs increasing times"""
 
 
 @dataclass(slots=True, eq=False)  # frozen ones take 2 us more to make; nobody changes one

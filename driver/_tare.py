@@ -17,29 +17,20 @@ from ..common.config import LEAST_SI, MOST_SI
 from ..common.files import whole_file
 from ..common.text import count_of, printable
 from ..errors import InputError
+from ._tuning import (
+    CONTACT_LOAD,
+    DRIFT,
+    DRIFT_COUNTS,
+    ENOUGH_READINGS,
+    KNOWN_DRIFT,
+    NOISE_SHARE,
+    OUTLYING_STDS,
+    SHEET_FACTOR,
+    SPREAD,
+    SURE_STDS,
+    TYPICAL_READINGS,
+)
 
-SPREAD = 0.3
-"""default relative deviation of a cell from the other cells that manufacturing tolerances explain; the project's own
-choice"""
-SHEET_FACTOR = 2.0
-"""factor between the typical cell and its data sheet that manufacturing tolerances explain"""
-KNOWN_DRIFT = 0.1
-"""relative change since an earlier tare or a calibration that temperature, age and earlier loads explain; the project's
-own choice"""
-CONTACT_LOAD = 0.1
-"""share of full scale that electrodes in light contact may seem to bear at rest, since glue and covers press on them"""
-DRIFT = 0.01
-"""relative change of a resistance during the tare that a resting cell may show"""
-DRIFT_STDS = 5.0
-"""the same in standard errors, for noisy readings"""
-OUTLYING_STDS = 4.0
-"""a cell this far from the others, in robust standard deviations of all, is an outlier of their scatter"""
-NOISE_SHARE = 0.5
-"""share of the tolerated deviation for noise; the rest is for manufacturing tolerances"""
-TYPICAL_READINGS = 4
-"""weight of the noise of all cells in the noise of one cell, in readings of that cell"""
-ENOUGH_READINGS = 8.0
-"""readings of the usual noisy cell in a tare that covers nearly all: then one cell in 3000 has none (Poisson)"""
 MOST_BYTES = 2**26
 """size limit of a file: a tare of 1024 x 1024 cells fits"""
 LATEST_S = 4e9
@@ -191,7 +182,7 @@ class RestReadings:
     """Frames taken for a tare."""
 
     resistance_ohm: FloatArray
-    """(frames, rows, columns); NaN where not valid"""
+    """(frames, rows, columns), or counts where the circuit is not known; NaN where not valid"""
     time_s: FloatArray
     """(frames,) increasing"""
     noisy: BoolArray | None = None
@@ -230,15 +221,13 @@ class RestReadings:
             InputError: no cell has a valid reading, and cells are not open at rest.
 
         """
-        readings = np.isfinite(self.resistance_ohm).sum(axis=0)
+        readings, mean, deviation = self._means()
         measured = readings > 0
         idle = np.zeros_like(measured)
         if cell is not None and cell.open_at_rest and self.without_current is not None:
             idle = self.without_current & ~measured
         if not (measured | idle).any():
             raise InputError("no cell has a valid reading to tare with")
-        mean = np.nansum(self.resistance_ohm, axis=0) / np.maximum(readings, 1)
-        deviation = np.where(np.isfinite(self.resistance_ohm), self.resistance_ohm - mean, 0.0)
         std = np.sqrt((deviation**2).sum(axis=0) / np.maximum(readings - 1, 1))
         expected = np.ones_like(mean) if calibrated_ohm is None else calibrated_ohm
         sheet = np.nan if cell is None else cell.rest_resistance_ohm
@@ -252,7 +241,7 @@ class RestReadings:
             ""
             if earlier is None
             else _changed_since(earlier, mean, std / np.sqrt(np.maximum(readings, 1)), cell, drift),
-            self._changing(mean, std, readings),
+            self._changing(mean, readings),
         )
         remarks = tuple(sign for sign in signs if sign)
         frames_advised, spread_advised = 0, 0.0
@@ -277,6 +266,35 @@ class RestReadings:
             spread_advised=spread_advised,
         )
 
+    def tare_of_counts(self, *, lost: int | None, serial_number: str, wall_time: float) -> Tare:
+        """The mean counts, where the circuit is not known; arguments and errors as for :meth:`tare`.
+
+        Counts at rest may be 0, and what the cells have in common is not known. The only sign of a load is therefore
+        that counts change while the frames come.
+        """
+        readings, mean, _ = self._means()
+        if not readings.any():
+            raise InputError("no cell has a count to tare with")
+        changing, unknown = self._changing(mean, readings, of_counts=True), np.full(mean.shape, np.nan)
+        return Tare(
+            rest_resistance_ohm=unknown,
+            measured=readings > 0,
+            std_ohm=unknown,
+            frames=len(self.resistance_ohm),
+            lost=lost,
+            serial_number=serial_number,
+            wall_time=wall_time,
+            remarks=(changing,) if changing else (),
+            rest_counts=mean,
+        )
+
+    def _means(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(rows, columns) number and mean of valid readings; (frames, rows, columns) deviation, 0 if not valid."""
+        valid = np.isfinite(self.resistance_ohm)
+        readings = valid.sum(axis=0)
+        mean = np.nansum(self.resistance_ohm, axis=0) / np.maximum(readings, 1)
+        return readings, mean, np.where(valid, self.resistance_ohm - mean, 0.0)
+
     def _frames_to_tell(self, ratio: FloatArray, deviation: FloatArray, readings: FloatArray, spread: float) -> int:
         """Number of frames with which noise moves no cell from the others by more than its share of ``spread``.
 
@@ -297,9 +315,9 @@ class RestReadings:
         beyond = np.abs(ratio - 1) - spread
         unlike = beyond > 0
         # Boards measure currents, so the noise is that of a conductance; in a resistance it grows with the resistance.
-        if (beyond > DRIFT_STDS * own * ratio / np.sqrt(np.maximum(readings, 1)))[unlike].any():
+        if (beyond > SURE_STDS * own * ratio / np.sqrt(np.maximum(readings, 1)))[unlike].any():
             return 0
-        enough = float((DRIFT_STDS * own[unlike].max() / (NOISE_SHARE * spread)) ** 2)
+        enough = float((SURE_STDS * own[unlike].max() / (NOISE_SHARE * spread)) ** 2)
         # Cells with rarely valid readings decide. A column's are valid together, in some columns ten times as often.
         return _two_digits(len(self.time_s) * max(enough / float(readings[readings > 0].min()), 2.0))
 
@@ -316,8 +334,8 @@ class RestReadings:
         seen = -math.log(min(unseen, noisy - 0.5) / noisy)  # readings of the usual cell
         return _two_digits(len(self.time_s) * max(ENOUGH_READINGS / max(seen, 0.5 / noisy), 2.0))
 
-    def _changing(self, mean: FloatArray, std: FloatArray, readings: FloatArray) -> str:
-        """A remark where a resistance has a trend: a load that comes or goes, or a cell that recovers from one."""
+    def _changing(self, mean: FloatArray, readings: FloatArray, *, of_counts: bool = False) -> str:
+        """A remark where a reading has a trend: a load that comes or goes, or a cell that recovers from one."""
         frames = len(self.time_s)
         if frames < 4:
             return ""
@@ -331,14 +349,16 @@ class RestReadings:
         every = readings == frames
         if every.any():
             noise = np.maximum(noise, mean * np.median((noise / np.maximum(mean, 1e-300))[every]))
-        limit = np.maximum(DRIFT * mean, DRIFT_STDS * noise * np.sqrt(2 / half))
+        limit = np.maximum(DRIFT_COUNTS if of_counts else DRIFT * mean, SURE_STDS * noise * np.sqrt(2 / half))
         moving = every & (change > limit)
         if not moving.any():
             return ""
-        worst = _worst(np.where(moving, change / np.maximum(mean, 1e-300), 0.0))
+        share = change if of_counts else 100 * change / np.maximum(mean, 1e-300)
+        worst = _worst(np.where(moving, share, 0.0))
+        what, by = ("counts", f"{share[worst]:.1f}") if of_counts else ("resistance", f"{share[worst]:.1f} %")
         return (
-            f"the resistance of {_cells(moving)} is changing, most at cell {worst} by "
-            f"{100 * change[worst] / mean[worst]:.1f} % in {self.time_s[-1] - self.time_s[0]:.2g} s"
+            f"the {what} of {_cells(moving)} {'are' if of_counts else 'is'} changing, most at cell {worst} by {by} in "
+            f"{self.time_s[-1] - self.time_s[0]:.2g} s"
         )
 
 
@@ -423,7 +443,7 @@ def _changed_since(
     """
     ratio = mean / earlier.rest_resistance_ohm
     change = np.abs(ratio - 1) if cell is None else _sign_of_load(cell) * (ratio - 1)
-    noise = DRIFT_STDS * std_error / earlier.rest_resistance_ohm
+    noise = SURE_STDS * std_error / earlier.rest_resistance_ohm
     changed = earlier.measured & (mean > 0) & (change > np.maximum(drift, noise))
     if cell is not None and isinstance(cell.model, ContactModel):
         changed &= _contact_load(mean, earlier.rest_resistance_ohm, cell.model) > CONTACT_LOAD

@@ -6,6 +6,7 @@ import threading
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from ._calibration import Calibration
 from ._consumer import Consumer
 from ._frame import Frame
 from ._frames import Frames
-from ._plain import tare_of_counts
 from ._tare import EarlierRest, RestReadings, Tare
 
 
@@ -139,23 +139,19 @@ class Tares:
         # Losses before the first of these frames, perhaps long ago, do not belong to the tare.
         losses = [frame.lost_before for frame in taken[1:]]
         lost = None if None in losses else sum(loss or 0 for loss in losses)
+        known: dict[str, Any] = {"lost": lost, "serial_number": serial_number, "wall_time": taken[-1].host_time}
+        times_s = np.array([frame.monotonic_time for frame in taken])
         if self._converter.design is None:
-            return tare_of_counts(taken, lost=lost, serial_number=serial_number)
+            counts = np.array([np.where(frame.valid, frame.counts, np.nan) for frame in taken])
+            return RestReadings(counts, times_s).tare_of_counts(**known)
         noisy, silent = (
             2 * np.count_nonzero([frame.reason == why for frame in taken], axis=0) > len(taken)
             for why in (Reason.UNCERTAIN, Reason.NO_CURRENT)
         )
-        readings = RestReadings(
-            np.where(silent, np.nan, [frame.resistance for frame in taken]),
-            np.array([frame.monotonic_time for frame in taken]),
-            noisy,
-            silent,
-        )
+        readings = RestReadings(np.where(silent, np.nan, [frame.resistance for frame in taken]), times_s, noisy, silent)
         return readings.tare(
             self._converter.cell,
-            lost=lost,
-            serial_number=serial_number,
-            wall_time=taken[-1].host_time,
+            **known,
             calibrated_ohm=None if self._calibration is None else self._calibration.rest_ohm,
             earlier=self._earlier_rest(),
             drift=drift,

@@ -9,13 +9,12 @@ import numpy as np
 from ..common.arrays import BoolArray, FloatArray
 from ..common.compiled import Flags, PlaceRows, Places, Record, Records, Row, Rows, zeros
 from ..common.geometry import Geometry
+from ._tuning import BESIDE
 
 PLACE = Annotated[FloatArray, 3]
 MOST_TOGETHER = 8
 """largest number of fingers that share a patch; the ones with the largest forces are kept"""
 OTHERS = Annotated[FloatArray, MOST_TOGETHER - 1]
-BESIDE, AT_CORNER = 0.5, 0.25
-"""weights of the cells beside a cell and at its corners under a fingertip; its own weight is 1"""
 
 
 class Untouched(Record):
@@ -159,7 +158,7 @@ class Skin(NamedTuple):
         count = geometry.areas_mm2.size
         neighbours, exists = geometry.neighbours, geometry.exists.ravel()
         near = neighbours.near
-        weights = np.where(near < count, AT_CORNER, 0.0)
+        weights = np.where(near < count, BESIDE**2, 0.0)
         is_beside = (near[:, :, None] == neighbours.beside[:, None, :]).any(axis=-1)
         weights[is_beside & (near < count)] = BESIDE
         spots = zeros(Spot, count)

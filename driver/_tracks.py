@@ -18,29 +18,19 @@ import numpy as np
 from ..common.compiled import Places, Records, Row, Rows, loop
 from ._assignment import assign
 from ._touch import MOST_TOGETHER, Memory, Patch, Progress, Scan, Skin, Spot, Track
+from ._tuning import (
+    ABSENT_S,
+    EM_STEPS,
+    LEAST_SHARE,
+    LEAST_WIDTH_PITCHES,
+    MEMORY_S,
+    REACH_PITCHES,
+    SPEED_MM_PER_S,
+    SURE_SHARE,
+    TOGETHER_S,
+    WIDTH_GAIN,
+)
 
-SPEED_MM_PER_S = 500.0
-REACH_PITCHES = 1.5
-"""largest distance of a contact from its last position, or from its predicted one; in addition, the speed above times
-the time since then"""
-REMEMBERED_S = 0.2
-"""a contact that returns within this time keeps its id"""
-MEMORY_S = 0.05
-"""time constant of the g-h filter for position and velocity: fingers turn more slowly, and noise is averaged"""
-FORCE_PITCHES = 1.0
-"""cost of a pair whose forces differ by a factor of e, in pitches of distance"""
-LEAST_SHARE = 0.1
-"""fraction of a patch's force below which a track has been lifted"""
-SURE_SHARE = 0.35
-"""fraction below which the fit moves a track only in part: the bell of a finger being lifted slides to its neighbour"""
-TOGETHER_S = 1.0
-"""two fingers do not stay in one place for longer: the weaker one has been lifted there"""
-EM_STEPS = 2
-"""EM iterations per frame; each frame starts from the result of the last one"""
-WIDTH_GAIN = 0.2
-"""gain per frame with which the width of a bell follows the fit, while each bell has its own maximum"""
-LEAST_WIDTH_PITCHES = 0.5
-"""least standard deviation of a bell: that of a contact on one cell"""
 NONE = -1
 
 
@@ -49,7 +39,7 @@ def follow(count: int, skin: Skin, memory: Memory, scan: Scan, time_s: float) ->
     """Give the first ``count`` patches, which are those of the next frame, the ids of the fingers in them."""
     progress, tracks = memory.progress[0], memory.tracks
     # However slow the frames are, the frame just before counts.
-    oldest_s = min(time_s - REMEMBERED_S, progress.time_s)
+    oldest_s = min(time_s - ABSENT_S, progress.time_s)
     known, places = 0, np.empty(tracks.size, np.intp)
     for place in range(int(progress.tracks)):
         if tracks[place].id > 0.0 and tracks[place].seen_s >= oldest_s:
@@ -60,6 +50,8 @@ def follow(count: int, skin: Skin, memory: Memory, scan: Scan, time_s: float) ->
     places = places[:known]
     shared = np.empty(known, np.intp)
     share(places, count, memory, scan.before, time_s, shared)
+    for place in places:
+        tracks[place].patch = 0.0
     together = np.empty(MOST_TOGETHER, np.intp)
     for k in range(count):
         fingers = strongest(tracks, places, shared, k, together)
@@ -81,8 +73,7 @@ def follow(count: int, skin: Skin, memory: Memory, scan: Scan, time_s: float) ->
         track = tracks[place]
         if track.id > 0.0:
             last = place + 1
-            if track.seen_s < time_s:
-                track.patch = track.leads = 0.0
+            track.leads = track.leads if track.patch > 0.0 else 0.0
     progress.tracks = float(last)
 
 
@@ -130,7 +121,8 @@ def share(places: Places, count: int, memory: Memory, before: Places, time_s: fl
         reach = REACH_PITCHES * track.longest_mm + SPEED_MM_PER_S * abs(time_s - track.seen_s)
         for k in range(count):
             far, moved = distance(ahead[j], centres[k]), distance(here, centres[k])
-            costs[j, k] = far / track.pitch_mm + FORCE_PITCHES * abs(math.log(patches[k].force_n / track.force_n))
+            # Forces that differ by a factor of e cost as much as a distance of a pitch.
+            costs[j, k] = far / track.pitch_mm + abs(math.log(patches[k].force_n / track.force_n))
             possible[j, k] = min(moved, far) <= reach or overlaps[int(track.patch), k]
             if possible[j, k]:
                 impossible += costs[j, k]

@@ -14,12 +14,8 @@ import numpy as np
 
 from ..common.compiled import PlaceRows, Places, Row, loop
 from ._touch import Memory, Scan, Skin
+from ._tuning import PART_SHARE, SURE_STDS
 
-PART_SHARE, STAY_SHARE = 0.3, 0.15
-"""depth of a saddle below the lower maximum, relative to it, at which two fingers part, and stay parted: one finger is
-less uneven"""
-PART_STDS, STAY_STDS = 5.0, 2.5
-"""the same in standard deviations of the difference between the maximum and its saddle"""
 PAIRS = 8
 """neighbours of a cell, hence pairs of basins that may meet in it"""
 NONE = -1
@@ -138,7 +134,7 @@ def are_fingers(cells: Places, high: int, low: int, saddle: int, scan: Scan, roo
     """
     height, std, before = scan.height, scan.known_std, scan.before
     apart = before[low] != before[high] and before[low] > 0 and before[high] > 0
-    share, stds = (STAY_SHARE, STAY_STDS) if apart else (PART_SHARE, PART_STDS)
+    share, stds = (PART_SHARE / 2.0, SURE_STDS / 2.0) if apart else (PART_SHARE, SURE_STDS)
     if height[low] - height[saddle] < share * height[low]:
         return False
     sure, begun = False, apart

@@ -26,16 +26,17 @@ EventKind = Literal[
     "bridged-columns",
     "supply-sag",
 ]
-_CELL_KINDS = frozenset({"open-cell", "shorted-cell", "sparking-cell"})
+_SPARKING, _SAG = frozenset({"sparking-cell"}), frozenset({"supply-sag"})
+_BRIDGES = frozenset({"bridged-rows", "bridged-columns"})
+_CELL_KINDS = _SPARKING | {"open-cell", "shorted-cell"}
+_PLACED = _CELL_KINDS | _BRIDGES | {"broken-row", "broken-column"}
 _KEYS: dict[str, frozenset[str]] = {
-    "place": frozenset({"open-cell", "shorted-cell", "sparking-cell"})
-    | {"broken-row", "broken-column", "bridged-rows", "bridged-columns"},
-    "resistance": frozenset({"open-cell", "shorted-cell", "broken-row", "broken-column"})
-    | {"bridged-rows", "bridged-columns"},
-    "to": frozenset({"bridged-rows", "bridged-columns"}),
-    "rate_hz": frozenset({"sparking-cell"}),
-    "seed": frozenset({"sparking-cell"}),
-    "share": frozenset({"supply-sag"}),
+    "place": _PLACED,
+    "resistance": _PLACED - _SPARKING,
+    "to": _BRIDGES,
+    "rate_hz": _SPARKING,
+    "seed": _SPARKING,
+    "share": _SAG,
 }
 """Which kinds take which key"""
 _SPARKS = 1 << 16
@@ -79,7 +80,7 @@ class Event(Section):
         for key, kinds in _KEYS.items():
             if getattr(self, key) is not None and self.kind not in kinds:
                 raise ValueError(f"an event of kind '{self.kind}' has no key '{key}'")
-        if self.place is None and self.kind in _KEYS["place"]:
+        if self.place is None and self.kind in _PLACED:
             raise ValueError(f"an event of kind '{self.kind}' needs a place = [row, column]")
         if self.share is None and self.kind == "supply-sag":
             raise ValueError("an event of kind 'supply-sag' needs a share between 0 and 1")

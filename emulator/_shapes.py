@@ -231,6 +231,11 @@ class Image(Shape):
             raise InputError(f"{path}: has pixels outside 0 ... 1; each is a share of the load")
         return pixels
 
+    @cached_property
+    def _sums(self) -> FloatArray:
+        """(height + 1, width + 1) shares of all pixels above and to the left of a corner, over the number of all."""
+        return np.asarray(np.pad(self.pixels.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0))) / self.pixels.size)
+
     def reach(self, unit_mm: float) -> FloatArray:
         return self.size(unit_mm) / 2.0
 
@@ -239,14 +244,13 @@ class Image(Shape):
 
     def share(self, down: FloatArray, along: FloatArray, side: Side, unit_mm: float) -> FloatArray:
         """By the table of sums of all pixels above and to the left of a place."""
-        (height, width), pixels = self.size(unit_mm), self.pixels
-        sums = np.pad(pixels.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0))) * (height * width / pixels.size)
+        height, width = self.size(unit_mm)
+        rows, columns = self.pixels.shape
 
         def up_to(y: FloatArray, x: FloatArray) -> FloatArray:
-            places = (y / height + 0.5) * pixels.shape[0], (x / width + 0.5) * pixels.shape[1]
-            inside = (np.clip(place, 0.0, most) for place, most in zip(places, pixels.shape, strict=True))
-            found: FloatArray = map_coordinates(sums, np.broadcast_arrays(*inside), order=1)
-            return found
+            row, column = np.clip(y / height + 0.5, 0.0, 1.0) * rows, np.clip(x / width + 0.5, 0.0, 1.0) * columns
+            found: FloatArray = map_coordinates(self._sums, np.broadcast_arrays(row, column), order=1)
+            return np.asarray(height * width * found)
 
         return _within(up_to, down, along, side)
 

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from ohmskin.driver import Skin
-from ohmskin.driver._clock import LARGEST_DRIFT, SHORTEST_SPAN_S, STEP_S, ClockMap, Pace
-from ohmskin.driver._spacing import KEPT, ArrivalTimes
+from ohmskin.driver._clock import ClockMap, Pace
+from ohmskin.driver._spacing import ArrivalTimes
+from ohmskin.driver._tuning import BUCKET_S, LARGEST_DRIFT, REMEMBERED, STEP_S
 from ohmskin.wire import BOARDS, FramePacket, board_protocol
 
 
@@ -151,7 +152,7 @@ def test_the_line_lies_below_all_arrivals_and_touches_one(drift: float, delay_s:
             return
         off = y[: n + 1] - [clock._line(each) for each in x[: n + 1].tolist()]
         if clock._drift is None:
-            assert x[max(n - 1, 0)] - x[0] < SHORTEST_SPAN_S
+            assert x[max(n - 1, 0)] - x[0] < 2.0 * BUCKET_S
             continue
         assert abs(clock._drift) <= LARGEST_DRIFT
         assert off.min() == pytest.approx(0.0, abs=1e-9)
@@ -232,8 +233,8 @@ def test_frames_of_an_arrival_are_spread_backwards_by_the_usual_interval(steps: 
         apart_s = 0.0
         if number:
             intervals.append(step_s / frames)
-            apart_s = min(intervals[-1], np.median(intervals[-KEPT:]))
-            assert times.usual_s == pytest.approx(np.median(intervals[-KEPT:]), rel=1e-9, abs=1e-12)
+            apart_s = min(intervals[-1], np.median(intervals[-REMEMBERED:]))
+            assert times.usual_s == pytest.approx(np.median(intervals[-REMEMBERED:]), rel=1e-9, abs=1e-12)
         found = [times.next(received_s) for _ in range(frames + 1)]
         expected = received_s - apart_s * np.r_[np.arange(frames - 1, -1, -1), 0]
         np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9)

@@ -17,9 +17,10 @@ from uncompiled import switched_off
 from ohmskin.common.arrays import FloatArray
 from ohmskin.common.geometry import Geometry
 from ohmskin.driver import MESSAGE_SCHEMAS, Contact, ContactTracker, messages_of
-from ohmskin.driver._contacts import MOST_DEAD, ContactsOfFrames, PressureView
+from ohmskin.driver._contacts import ContactsOfFrames, PressureView
 from ohmskin.driver._touch import Memory
-from ohmskin.driver._tracks import MEMORY_S, free_place
+from ohmskin.driver._tracks import free_place
+from ohmskin.driver._tuning import MEMORY_S, QUEUE
 from ohmskin.emulator import Board
 from ohmskin.errors import InputError
 
@@ -232,6 +233,16 @@ def test_a_hand_of_eight_fingers_that_is_lifted_at_once_leaves_no_place_of_memor
     assert [len(one.joined) for one in found[3]] == [7]
     assert found[4] == ()
     assert {one.id for one in found[6]} == {one.id for one in found[0]}
+
+
+def test_frames_of_one_moment_lift_fingers_as_others_do() -> None:
+    """Boards of a joined skin may have sent at the same time; a finger's patch is that of the frame before."""
+    three = np.sum([bump((4, 16), 1.5, c, 10.0, 0.6) for c in (2.0, 7.0, 12.0)], axis=0)
+    frames = [three, bump((4, 16), 1.5, 2.0, 10.0, 0.6), np.zeros((4, 16)), three]
+    with switched_off():
+        found = track(frames, step_s=0.0)
+    assert [len(one) for one in found] == [3, 1, 0, 3]
+    assert {one.id for one in found[3]} == {one.id for one in found[0]}
 
 
 def test_where_no_place_for_a_finger_is_free_the_one_lifted_first_is_forgotten() -> None:
@@ -459,12 +470,12 @@ def test_contacts_are_the_same_in_whatever_order_frames_are_asked(asked_first: i
 def test_frames_without_contacts_that_nobody_holds_are_forgotten() -> None:
     contacts, none = ContactsOfFrames(ContactTracker(Geometry.rectangle((1, 1), 0.01), FULL_KPA)), np.zeros((1, 1))
     held = []
-    for number in range(20 * MOST_DEAD):
+    for number in range(20 * QUEUE):
         view = PressureView(0.01 * number, none, none, none > 0)
         contacts.pass_by(view)
-        if number % MOST_DEAD == 0:
+        if number % QUEUE == 0:
             held.append(view)
-    assert len(contacts._waiting) <= 2 * (len(held) + MOST_DEAD)
+    assert len(contacts._waiting) <= 2 * (len(held) + QUEUE)
     assert all(contacts.of(view) == () for view in held)
 
 

@@ -12,7 +12,8 @@ from ohmskin.cell import Cell
 from ohmskin.circuits import Design, Reason, adc_codes, recover, scan, scan_batch
 from ohmskin.common.arrays import BoolArray, FloatArray
 from ohmskin.driver import CountReader, Skin
-from ohmskin.driver._line_faults import EVERY_S, OVERLOAD, Creep, LineFaults
+from ohmskin.driver._line_faults import Creep, LineFaults
+from ohmskin.driver._tuning import EVERY_S, OVERLOAD
 
 REST_OHM, BEGIN, SHAPE = 18e3, 6, (8, 8)
 CIRCUITS: dict[str, dict[str, Any]] = {

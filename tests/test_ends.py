@@ -29,6 +29,7 @@ from ohmskin.circuits import (
 )
 from ohmskin.circuits.spice import command_available, netlist, run_control
 from ohmskin.common.config import parse
+from ohmskin.driver import CountReader
 from ohmskin.errors import InputError, SolverError
 from ohmskin.verification import verify
 from ohmskin.wire import read_description, write_description
@@ -356,6 +357,41 @@ def test_outputs_stay_within_the_supply_of_their_amplifier() -> None:
     np.testing.assert_array_equal(scan(design, CELLS).saturated, scan(named, CELLS).saturated)
 
 
+@pytest.mark.parametrize(
+    "parts",
+    [
+        ["X1 0 line out opamp low=-0.5 high=1", "R1 line out 2k"],
+        ["X1 0 line a opamp low=-0.5 high=0.6 offset_voltage=1m", "R1 line a 2k", "R2 a out 1k", "R3 out 0 3k"],
+        ["X1 0 line a opamp", "R1 line a 500", "R2 a b 10k", "R3 b out 47k", "X2 0 b out opamp low=-2 high=2"],
+    ],
+)
+@pytest.mark.parametrize("at_limit", [[(1, 2)], [(0, 0), (1, 2)]])
+def test_readers_know_where_described_outputs_stay(parts: list[str], at_limit: list[tuple[int, int]]) -> None:
+    """Within the converter's range nothing else tells such a reading from one of another cell."""
+    given = {
+        "array": {"rows": 3, "columns": 4, "row_lead": 5.0, "column_lead": 5.0},
+        "row_end": {"selected": ["V1 s 0 -1", "R1 s line 25"], "idle": ["R1 line 0 25"]},
+        "column_end": {"parts": parts},
+        "adc": {"bits": 14, "range": [-3.3, 3.3]},
+    }
+    design = Design.model_validate(given)
+    cells = np.random.default_rng(1).uniform(7e3, 9e3, (3, 4))
+    for place in at_limit:
+        cells[place] = 100.0
+    frame = scan(design, cells)
+    saturated = np.zeros((3, 4), dtype=bool)
+    saturated[tuple(zip(*at_limit, strict=True))] = True
+    ends = design.board.supply
+    np.testing.assert_allclose(np.abs(frame.volts[saturated][:, None] - ends).min(axis=1), 0.0, atol=1e-3)
+    reader, codes = CountReader(design), adc_codes(design, frame.volts)
+    for _ in range(3):
+        found = reader(codes)
+    assert not found.valid[saturated].any()
+    assert found.valid.any()
+    off = np.abs(cells / found.resistance - 1.0)[found.valid]
+    assert (off <= found.uncertainty[found.valid]).all()
+
+
 def test_each_end_has_its_own_values() -> None:
     design = designed("zero potential, mid-supply", row_lead=0.0, column_lead=0.0)
     assert design.end_parts["column_end.R1"].tolist() == [2e3] * 4
@@ -394,7 +430,7 @@ def test_the_worst_board_has_the_tolerance_of_a_networks_part() -> None:
     """An amplifier's feedback that is 5 % low reads resistances 1 / 0.95 too high."""
     parts = {"parts": ["X1 0 line out opamp", "R1 line out 20k"], "tolerance": {"R1": 0.05}}
     rows = {"selected": NEGATIVE, "idle": GROUNDED}
-    tables = {"array": {"rows": 2, "columns": 2}, "row_end": rows, "column_end": parts}
+    tables = {"array": {"rows": 1, "columns": 1}, "row_end": rows, "column_end": parts}
     design = Design.model_validate(tables | {"adc": {"bits": 16, "range": (0.0, 3.3)}})
     (found,) = verify(design, only=("D2",), samples=20).results
     assert found.measurement is not None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import inspect
+from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,9 +22,10 @@ from ohmskin.common.geometry import Geometry
 from ohmskin.driver import ContactTracker, Frame, JoinedSkin, Skin
 from ohmskin.driver._consumer import Consumer
 from ohmskin.driver._contacts import Touch
-from ohmskin.driver._joined import SILENT_S, JoinedBoards, JoinedFrames, Joiner, joined_geometry
+from ohmskin.driver._joined import JoinedBoards, JoinedFrames, Joiner, joined_geometry
+from ohmskin.driver._tuning import ABSENT_S
 from ohmskin.emulator import Board, PtyPort, Scene, load_scenes, running
-from ohmskin.errors import InputError, LinkEnded, LinkError
+from ohmskin.errors import InputError, LinkEnded, LinkError, ProtocolError
 from ohmskin.wire import Order, host_protocol
 
 HAND = Path(__file__).parents[1] / "examples/hand/hand.toml"
@@ -117,7 +120,7 @@ def test_every_frame_of_a_board_is_in_one_joined_frame_and_none_waits_for_a_sile
                 own = slice(2 * k, 2 * k + 2)
                 if joined.valid[own].all():
                     kpa = float(joined.pressure[own][0, 0])
-                    assert frame.monotonic_time - came_s[kpa] <= SILENT_S
+                    assert frame.monotonic_time - came_s[kpa] <= ABSENT_S
                     seen[k] += [] if kpa == seen[k][-1] else [kpa]
                 else:
                     assert (joined.reason[own] == Reason.MISSING).all()
@@ -145,6 +148,43 @@ def test_what_happened_to_one_board_happened_to_the_joined_skin(happened: set[tu
     assert joined.lost_before == 3
 
 
+class Played:
+    """A recording as a board: frames, and faults among them."""
+
+    port_name, away = "played", None
+
+    def __init__(self, *items: Frame | ProtocolError) -> None:
+        self._items = iter(items)
+
+    def __next__(self) -> Frame:
+        item = next(self._items)
+        if isinstance(item, ProtocolError):
+            raise item
+        return item
+
+
+def test_a_fault_in_one_recording_ends_neither_it_nor_the_others() -> None:
+    board = Geometry.rectangle((1, 1), 0.01)
+    times = [0.01 * k for k in range(1, 9)]
+    left, right = ([frame_at(s, board, s) for s in times] for _ in range(2))
+    boards = [Played(*left[:3], ProtocolError("a fault"), *left[3:]), Played(*right)]
+    joiner = Joiner([board] * 2, Touch(20.0))
+    frames = JoinedFrames(joiner, boards, "lossless", 10)
+    frames.play()
+    reader, seen, faults = Consumer(JoinedBoards(boards, frames, joiner), after=0), [], 0
+    while True:
+        try:
+            seen += reader.next_frames(3, 0.0)
+        except ProtocolError:
+            faults += 1
+        except LinkEnded:
+            break
+    assert faults == 1
+    for row in (0, 1):  # each frame of each recording is in one of them
+        shown = [float(one.pressure[row, 0]) for one in seen]
+        assert list(dict.fromkeys(kpa for kpa in shown if kpa > 0.0)) == times
+
+
 def test_boards_without_places_stand_apart_and_boards_at_one_place_are_refused() -> None:
     board = Geometry.rectangle((2, 3), 0.01)
     joined = joined_geometry([board, Geometry.rectangle((4, 2), 0.01)])
@@ -159,6 +199,11 @@ def test_boards_without_places_stand_apart_and_boards_at_one_place_are_refused()
         joined_geometry([placed, board])
 
 
+async def _of(skin: Skin) -> AsyncIterator[Frame]:
+    async for frame in skin:
+        yield frame
+
+
 def test_what_a_joined_skin_inherits_asks_no_single_board(tmp_path: Path) -> None:
     """Neither does it refuse more than what belongs to one board."""
     refused = {"design", "touch", "pitch_m", "pitch_xy_m", "identity", "description", "recorder"}
@@ -170,6 +215,7 @@ def test_what_a_joined_skin_inherits_asks_no_single_board(tmp_path: Path) -> Non
         assert skin.latest(np.inf).monotonic_time >= first.monotonic_time
         assert 0 < len(skin.read_many(5)) <= 5
         assert next(iter(skin.frames())).monotonic_time > first.monotonic_time
+        assert asyncio.run(anext(aiter(_of(skin)))).monotonic_time > first.monotonic_time
         skin.use_tare(None)
         for call in (lambda: skin.on_bytes(print), lambda: skin.request(Order.STOP), lambda: skin.use_tare("x")):
             with pytest.raises(InputError, match="ask one of the 2"):

@@ -82,10 +82,10 @@ def check(design: Design, cells: np.ndarray, rtol: float = 1e-6) -> None:
 
 
 @pytest.mark.parametrize("circuit", CIRCUITS)
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(6))
 def test_every_part_of_every_circuit(circuit: str, seed: int) -> None:
     """Whatever idle lines end in."""
-    check(*real_design(seed, circuit=circuit, largest=3, idle_lines=seed > 3))
+    check(*real_design(seed, circuit=circuit, largest=3, idle_lines=seed > 2))
 
 
 def test_while_outputs_are_saturated() -> None:

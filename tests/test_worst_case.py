@@ -88,7 +88,7 @@ def test_chance_does_not_beat_any_of_300_boards(first: int) -> None:
             assert _agree(value, by_hand(design, quantity, report)), (seed, quantity)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, 3, 5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 4))])
 def test_chance_beats_no_verdict_in_time_and_no_stress(seed: int) -> None:
     design = random_board_in_time(seed)
     report = verify(design, requirements=asked_in_time(design))

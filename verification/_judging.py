@@ -62,7 +62,7 @@ def excursion_of(dut: DesignUnderTest, what: str) -> Excursion | None:
     board = design.board
     at_converter = True
     if what == "output":
-        low, high = design.readout.supply if board.circuit.has_amplifiers else (-inf, inf)
+        low, high = board.supply
         at_converter = False
     elif what == "converter":
         low, high = (-inf, inf) if design.adc is None else design.adc.range

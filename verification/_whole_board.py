@@ -103,7 +103,7 @@ class InTimeTarget(WholeBoardTarget):
 
 def within_supply(box: Box, settled: FloatArray) -> FloatArray:
     """1 where settled outputs (B, N, M) keep the supply, NaN on boards where one does not: they are not linear."""
-    low, high = box.design.readout.supply if box.design.board.circuit.has_amplifiers else (-np.inf, np.inf)
+    low, high = box.design.board.supply
     kept = ((settled >= low) & (settled <= high)).all(axis=(1, 2), keepdims=True)
     return np.where(kept, 1.0, np.nan) * np.ones(settled.shape)
 

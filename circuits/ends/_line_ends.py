@@ -97,6 +97,36 @@ class LineEnds:
         """Whether lines feel each other by way of the grid only."""
         return self.is_linear and not (self.reference or self.crosspoint)
 
+    @cached_property
+    def swing(self) -> tuple[float, float]:
+        """V between which the converter's node stays, by the limits of any amplifier at the ends of columns.
+
+        Where the node is not an amplifier's own output, it is affine in that output, as both are in the line's current;
+        ends with diodes besides state no limits. Of ends that differ, the narrowest swing.
+        """
+        low, high = -inf, inf
+        for network in dict.fromkeys(self.read):
+            for card in network:
+                if card.kind == "x" and is_bent(card):
+                    least, most = self._at_limits(network, card)
+                    low, high = max(low, least), min(high, most)
+        return low, high
+
+    def _at_limits(self, network: Network, amplifier: Card) -> tuple[float, float]:
+        """V of the converter's node where an amplifier's output is at its limits, in ascending order."""
+        limits, node = (amplifier["low"], amplifier["high"]), amplifier.nodes[2]
+        if node != self.out:
+            if any(card.kind == "d" for card in network):
+                return -inf, inf
+            smooth = self._smooth(network)
+            own, sampled = (_law(smooth, "column_end", where) for where in (node, self.out))
+            if not own.slope or not sampled.slope:  # it does not take part, or the converter's node does not move
+                return -inf, inf
+            ratio = float_of(sampled.slope / own.slope)
+            start = float_of(sampled.output - sampled.slope / own.slope * own.output)
+            limits = (start + ratio * limits[0], start + ratio * limits[1])
+        return min(limits), max(limits)
+
     def _smooth(self, network: Network) -> Network:
         """The network with conducting diodes, amplifiers without limits, and a stiff reference."""
         smooth = _unbent(network)

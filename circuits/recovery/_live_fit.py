@@ -192,6 +192,8 @@ class FitLive:
             for ohms in (self._leads, np.zeros(board.shape))
         )
         self._short, self._full = np.where(self._gone, inf, ideal), most  # V, of a short with and without leads
+        if np.isfinite(board.supply).any():  # at the limit of an output every cell reads alike, if it conducts enough
+            self._full = np.full(board.shape, inf)
         at_ends = np.maximum(board.row_ohms[:, :1] - of_end, 0.0) + board.column_lead
         at_ends = np.abs(board.circuit.ideal_volts(board, at_ends) - board.level)
         self._beyond = np.where(self._gone | board.circuit.virtual_ground, inf, at_ends)  # V, no cells read more

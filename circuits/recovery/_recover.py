@@ -126,7 +126,7 @@ class Recoverer:
             at_limit = np.asarray(clipped, dtype=np.bool_)
             top = at_limit if adc is None else at_limit & (volts > sum(adc.range) / 2)
             bottom = at_limit if adc is None else at_limit & ~top
-        if board.circuit.has_amplifiers:
+        if board.circuit.has_amplifiers or board.described is not None:
             low, high = board.supply
             top, bottom = top | (volts >= high), bottom | (volts <= low)
         if (board.drive > 0) == board.circuit.inverts:

@@ -92,7 +92,7 @@ def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Mea
 
 def _limited(design: Design, volts: FloatArray) -> FloatArray:
     """What supply and converter let through: of readings beyond, a self-test sees the limit only."""
-    within = np.clip(volts, *design.readout.supply)
+    within = np.clip(volts, *design.board.supply)
     limited: FloatArray = within if design.adc is None else np.clip(within, *design.adc.range)
     return limited
 

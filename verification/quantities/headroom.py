@@ -18,7 +18,8 @@ from .._units import engineering
 
 
 def _of_outputs(dut: DesignUnderTest, requirement: Requirement) -> Excursion:
-    if not dut.design.board.circuit.has_amplifiers:
+    board = dut.design.board
+    if not board.circuit.has_amplifiers and not np.isfinite(board.supply).any():
         raise DoesNotApply(f"'{dut.design.readout.circuit}' has no amplifier that could saturate")
     if (excursion := excursion_of(dut, "output")) is None:
         raise NotRun("missing: readout.supply")
