@@ -12,10 +12,10 @@ is at r_m D_mj, and the idle columns let out to their ends at most
 
     min(sum_m r_m D_mj sum_k G_mk / (1 + w_k G_mk), max_m (r_m D_mj) sum_k 1 / w_k).
 
-Where ends hardly differ, this asks too much. With all columns ended as idle ones are, they carry the currents J, of which
-one set of cells is the origin at most. The end of the column that is read stands e higher than it would while idle, so
-that its current is I = J - Y e, and no end conducts more than its wires w: Y <= 1 / w. So all answers lie within an
-error e / w of the readings' currents, and where cells change by little within it, they are one.
+Where ends hardly differ, this asks too much. With all columns ended as idle ones are, they carry the currents J, of
+which one set of cells is the origin at most. The end of the column that is read stands e higher than it would while
+idle, so that its current is I = J - Y e, and no end conducts more than its wires w let pass: Y <= 1 / w. So all answers
+lie within an error e / w of the readings' currents, and where cells change by little within it, they are one.
 
 A row that floats while it is idle joins its cell to the cells of other columns only: it conducts D_ij (1 - a_ij) /
 (1 - r_i sum_l D_il), where a_ij is the cell's share in its row, and D_ij a_ij more while it is selected. Both increase
@@ -133,7 +133,6 @@ class Answers:
         written = below, above, np.empty((4, max(rows, columns))), np.empty((2, rows)), least, greatest
         answers.unchecked(np.ascontiguousarray(volts), *law, *flags, *priors, self._floating, error, *written)
         return least, greatest
-
 
     def by_ends(
         self, volts: FloatArray, limited: BoolArray | None = None, under_range: BoolArray | None = None

@@ -367,8 +367,8 @@ def move(
                 most = max(most, abs(beyond[i, j]))
         by_row = most * moved / row_sums[i]
         for j in range(columns):
-            # What its column lets out follows a cell, and what passes beside it does not fall with it, though nothing may
-            # be left of both where cells are equal.
+            # What its column lets out follows a cell, and what passes beside it does not fall with it, though nothing
+            # may be left of both where cells are equal.
             least, passes = max(cells[i, j], OPEN), beside(beyond[i, j])
             fallen = change[i, j] * max(1.0 / least - 1.0 / base[i, j], 0.0)
             off[i, j] = by_row + in_columns[j] + min(change[i, j] / base[i, j], 1.0) * max(passes, coupling[j])
