@@ -129,6 +129,8 @@ def operating_points(design: Design, boards: Boards, cells: FloatArray) -> Opera
                 for name, values in found.items():
                     values[some] = getattr(point, name)
                 alone[some] = limited.any(axis=(1, 2)) | ~np.isfinite(point.leakage).all(axis=(1, 2))
+    for values in found.values():
+        values[alone] = np.nan
     for number in np.flatnonzero(alone).tolist():
         with suppress(SolverError):
             one = operating_point(boards.design(design, number), cells[number])

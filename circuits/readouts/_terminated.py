@@ -113,8 +113,7 @@ class Terminated(ReadoutCircuit):
 
             ends = self.ends_of(board, parts, pattern)  # one at a limit does not move: its adjoint field is zero
             steps = np.flatnonzero(pattern_of.ravel() == number)
-            one_by_one = self.columns_one_by_one(board)
-            yield from terminated_groups(board, ports, steps, ends, slopes, one_by_one=one_by_one)
+            yield from terminated_groups(board, ports, steps, ends, slopes)
 
     def linear(self, board: Parts) -> LinearReadout | None:
         """Linear with grounded idle rows and ends that all stand at one potential; None otherwise."""
