@@ -22,7 +22,6 @@ from ._ends import Ends
 from ._linear import LinearReadout
 from ._port_law import PortLaw
 from ._quick import QuickFields, QuickNetwork
-from ._rounding import energy_bound
 
 
 class Reading(NamedTuple):
@@ -96,9 +95,9 @@ class ReadoutCircuit(ABC):
     def end_resistance(self, board: Parts) -> FloatArray:
         """(M,) ohm that the circuit presents behind each column lead; the bound on rounding errors uses them."""
 
+    @abstractmethod
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
         """Bound in V (..., N, M) on output errors by a relative error of all conductances: :mod:`._rounding`."""
-        return energy_bound(board, ports, relative, self.end_resistance(board))
 
     def read_ends(self, board: Parts) -> Ends | None:
         """Thevenin equivalents at the columns' ends while they are read and no output is at a limit.

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -59,11 +58,6 @@ class Described(Networks, Terminated):
     def ends_of(self, board: Parts, parts: EndParts, state: SignArray | None = None) -> Ends:
         ends = _equivalents(board)
         return Ends(ends.resistance, ends.source, ends.output, ends.slope)
-
-    def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
-        ends = _equivalents(board)
-        sources = np.maximum(np.abs(ends.source), np.abs(ends.idle_source))
-        return super().energy_bound(replace(board, reference=np.abs(ends.slope), offset=sources), ports, relative)
 
     def alone(self, board: Parts) -> Alone:
         # The row's end by itself: driver, lead and pull-down as a Thevenin equivalent.
