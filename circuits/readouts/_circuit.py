@@ -47,16 +47,22 @@ class ReadoutCircuit(ABC):
     """as in ``readout.circuit``"""
     senses: ClassVar[Literal["columns", "rows"]] = "columns"
     """which of the array's lines are read; the others are driven"""
-    has_amplifiers: ClassVar[bool] = True
-    """whether gain, offset voltage, bias current and supply take part"""
     virtual_ground: ClassVar[bool] = False
     """whether amplifiers hold all columns at the reference at once, and each output measures its column's current"""
-    mixes_cells: ClassVar[bool] = False
-    """whether other cells change a reading even if all parts are ideal"""
     drives_idle_lines: ClassVar[bool] = False
     """whether an amplifier drives the idle lines, so that ``drive.idle_rows`` does not count"""
     behind_the_load: ClassVar[str] = ""
     """what a circuit without virtual grounds has besides its load, in a few words for the schematic"""
+
+    @property
+    def has_amplifiers(self) -> bool:
+        """Whether gain, offset voltage, bias current and supply take part."""
+        return self.virtual_ground or self.drives_idle_lines
+
+    @property
+    def mixes_cells(self) -> bool:
+        """Whether other cells change a reading even if all parts are ideal."""
+        return not self.has_amplifiers
 
     # Reading
 

@@ -27,8 +27,6 @@ class Networks(ReadoutCircuit):
     """Networks at the ends of all lines."""
 
     name = "described"
-    has_amplifiers = False
-    mixes_cells = True
 
     def __init__(self, *, inverts: bool) -> None:
         """``inverts``: whether a cell that conducts more lowers the output, for a positive drive."""

@@ -18,8 +18,6 @@ class VoltageDivider(Terminated):
     """A load resistor on each column, and nothing else."""
 
     name = "voltage-divider"
-    has_amplifiers = False
-    mixes_cells = True
 
     def ends_of(self, board: Parts, parts: EndParts, state: SignArray | None = None) -> Ends:
         nothing = np.zeros_like(parts.reference)
