@@ -140,7 +140,7 @@ class ReadoutCircuit(ABC):
 
     def reads_together(self, columns: str, idle_columns: str) -> bool:
         """Whether all columns are read at once, for ``readout.columns`` and ``readout.idle_columns``."""
-        return self.virtual_ground and columns == "parallel"
+        return columns == "parallel" if self.virtual_ground else idle_columns == "load"
 
     def columns_one_by_one(self, board: Parts) -> bool:
         """Whether each column is measured on its own, because idle columns end in something else than the read one."""

@@ -23,9 +23,6 @@ class VoltageDivider(Terminated):
         nothing = np.zeros_like(parts.reference)
         return Ends(parts.reference, source=nothing, output=nothing + parts.level, slope=parts.reference)
 
-    def reads_together(self, columns: str, idle_columns: str) -> bool:
-        return idle_columns == "load"
-
     def ends(self, board: Parts) -> Ends | None:
         return None  # no virtual grounds
 
