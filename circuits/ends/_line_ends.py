@@ -119,7 +119,7 @@ class LineEnds:
             if any(card.kind == "d" for card in network):
                 return -inf, inf
             smooth = self._smooth(network)
-            own, sampled = (_law(smooth, "column_end", where) for where in (node, self.out))
+            own, sampled = (end_law(smooth, "column_end", where) for where in (node, self.out))
             if not own.slope or not sampled.slope:  # it does not take part, or the converter's node does not move
                 return -inf, inf
             ratio = float_of(sampled.slope / own.slope)
