@@ -13,12 +13,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.arrays import IN_CACHE, FloatArray
+from ..common.arrays import IN_CACHE, BoolArray, FloatArray
 from ..errors import SolverError
 from ._board import Board
 from ._design import Design
 from ._parts import of_columns
-from ._population import Boards, read_together, scan_population
+from ._population import Boards, read_together
 from ._sensitivity import of_readings, solve_fields
 
 
@@ -60,11 +60,14 @@ def operating_point(design: Design, resistance: ArrayLike) -> OperatingPoint:
 
     """
     board = design.board
-    return _point(board, board.transpose(design.resistance(resistance)))
+    return _point(board, board.transpose(design.resistance(resistance)))[0]
 
 
-def _point(board: Board, cells: FloatArray) -> OperatingPoint:
-    """The operating point of cells (N, M) in line coordinates, or of those (S, N, M) of a stack."""
+def _point(board: Board, cells: FloatArray) -> tuple[OperatingPoint, BoolArray]:
+    """The operating point of cells (N, M) in line coordinates, or of those (S, N, M) of a stack; outputs at a limit.
+
+    Boards of a stack that have such outputs have to be solved alone.
+    """
     solved = solve_fields(board, cells)
     fields = solved.fields
     rows, columns = board.shape
@@ -88,7 +91,7 @@ def _point(board: Board, cells: FloatArray) -> OperatingPoint:
     signal = solved.reading.volts - board.level
     reference = of_columns(board.reference)
     across_reference = reference * output if board.circuit.virtual_ground else np.abs(signal).max(axis=-2)
-    return OperatingPoint(
+    point = OperatingPoint(
         reference_voltage=across_reference[..., backwards],
         reference_power=(across_reference**2 / reference)[..., backwards],
         cell_voltage=board.transpose(voltage),
@@ -99,6 +102,7 @@ def _point(board: Board, cells: FloatArray) -> OperatingPoint:
         leakage=board.transpose(leakage),
         signal=board.transpose(signal),
     )
+    return point, solved.reading.saturated
 
 
 def operating_points(design: Design, boards: Boards, cells: FloatArray) -> OperatingPoint:
@@ -124,11 +128,12 @@ def operating_points(design: Design, boards: Boards, cells: FloatArray) -> Opera
         for first in range(0, count, size):
             some = slice(first, first + size)
             with suppress(SolverError):
-                limited = scan_population(design, boards.part(some), cells[some]).saturated
-                point = _point(boards.part(some).board(design), board.transpose(cells[some]))
+                point, limited = _point(boards.part(some).board(design), board.transpose(cells[some]))
                 for name, values in found.items():
                     values[some] = getattr(point, name)
                 alone[some] = limited.any(axis=(1, 2)) | ~np.isfinite(point.leakage).all(axis=(1, 2))
+    for values in found.values():
+        values[alone] = np.nan
     for number in np.flatnonzero(alone).tolist():
         with suppress(SolverError):
             one = operating_point(boards.design(design, number), cells[number])

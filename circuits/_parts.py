@@ -103,7 +103,6 @@ class Parts:
     """whether the sheet conducts from cell to cell"""
     sheet: Sheet
     """geometry of a continuous sheet"""
-
     steps: IntArray | None
     """rows that are selected; readings of the others, where they cost more, are NaN; None: all"""
 

@@ -20,7 +20,6 @@ from ._board import Board
 from ._design import Design
 from ._exact import read_exactly
 from ._scan import scan
-from ._sections import PerLine
 from ._tuning import MOST_BUILT
 
 _OF_ROW, _OF_COLUMN = {"section": "array", "lines": "rows"}, {"section": "array", "lines": "columns"}
@@ -66,12 +65,10 @@ class Boards:
         """One board with the nominal values of the design."""
         rows, columns = design.array.shape
         counts = {"rows": rows, "columns": columns, "sensed": design.board.shape[1], "board": 1}
+        lines = {each.name: counts[each.metadata["lines"]] for each in fields(cls) if each.name != "ends"}
         values = {
-            each.name: _each(
-                getattr(getattr(design, each.metadata["section"]), each.name), counts[each.metadata["lines"]]
-            )
-            for each in fields(cls)
-            if each.name != "ends"
+            name: np.full((1, lines[name]), getattr(getattr(design, section), name), dtype=np.float64)
+            for name, section in cls.names().items()
         }
         return cls(**values, ends={key: values[None] for key, values in design.end_parts.items()})
 
@@ -141,8 +138,8 @@ def scan_population(
         cells: (S, N, M) ohm, or (1, N, M) for all boards.
         driven: (S,) the one line (row, or column where columns are driven) whose readings are wanted of each board; the
             volts of all others are NaN. None: all lines.
-        resolve_saturation: solve boards with a saturated output exactly, one by one. If False their volts are limited
-            to the supply, and the other outputs of such a frame are those of amplifiers without limits.
+        resolve_saturation: find which outputs are at their limits, and what the others then are. If False volts are
+            limited to the supply, and the other outputs of such a frame are those of amplifiers without limits.
 
     Raises:
         InputError: shapes that do not fit.
@@ -198,7 +195,3 @@ def _groups(count: int, size: int, lines: IntArray | None) -> Iterator[tuple[Int
         numbers = np.arange(count) if line is None else np.flatnonzero(np.broadcast_to(lines == line, count))
         for first in range(0, len(numbers), size):
             yield numbers[first : first + size], line
-
-
-def _each(value: PerLine, count: int) -> FloatArray:
-    return np.full((1, count), value, dtype=np.float64)

@@ -153,14 +153,16 @@ def solve_fields(board: Board, cells: FloatArray) -> SolvedFields:
 def _transposed_back(found: Sensitivity) -> Sensitivity:
     """Convert line coordinates to rows and columns of the array, on a board that senses rows."""
 
-    def turned(values: FloatArray) -> FloatArray:
+    def transposed(values: FloatArray) -> FloatArray:
         own = values.swapaxes(0, 1)[::-1, ::-1]
         if values.ndim == 4:
             return own.swapaxes(2, 3)[:, :, ::-1, ::-1]
         return own[..., ::-1] if values.ndim == 3 else own
 
     other = {f"{line}_{part}": f"{across}_{part}" for part in ("lead", "segment") for line, across in _CROSSING}
-    return Sensitivity(**{each.name: turned(getattr(found, other.get(each.name, each.name))) for each in fields(found)})
+    return Sensitivity(
+        **{each.name: transposed(getattr(found, other.get(each.name, each.name))) for each in fields(found)}
+    )
 
 
 def _with_small_resistances(board: Board, network: Network, shorts: BoolArray) -> Network:

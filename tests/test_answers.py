@@ -75,6 +75,41 @@ def test_a_range_of_the_cells_leaves_one_answer_where_idle_columns_are_grounded(
     assert not follow(design, [cells])[0].valid.any()
 
 
+@pytest.mark.parametrize("shape", [(1, 3), (3, 1), (2, 2), (3, 3)])
+def test_derivatives_behind_an_ideal_follower_have_one_sign(shape: tuple[int, int]) -> None:
+    """A line with an error of the follower stands elsewhere than the others, and two boards may read alike."""
+    draw = np.random.default_rng(shape)
+    for _ in range(12):
+        array = {"row_lead": float(10 ** draw.uniform(0, 3)), "column_lead": float(draw.choice([0.0, 1.0, 100.0]))}
+        design = digitised("feedback", *shape, 12, array=array)
+        assert np.linalg.det(log_derivatives(design, 10 ** draw.uniform(1.0, 5.0, shape))) > 0.0
+
+
+@pytest.mark.parametrize("rows", ["ground", "float"])
+def test_a_column_carries_what_it_would_while_idle_but_for_what_its_end_lacks_over_its_wires(rows: str) -> None:
+    draw = np.random.default_rng(len(rows))
+    for _ in range(20):
+        gain, load, lead = (float(10 ** draw.uniform(*decades)) for decades in ((2, 5), (3, 5), (0, 2.5)))
+        array = {"row_lead": float(10 ** draw.uniform(0, 3)), "column_lead": lead}
+        readout = {"reference_resistance": load, "open_loop_gain": gain} | TURNS
+        read = digitised("grounded", 4, 5, 12, array=array, drive={"idle_rows": rows}, readout=readout)
+        held = read.replace(readout={"columns": "parallel", "open_loop_gain": np.inf, "idle_columns": "float"})
+        cells = 10 ** draw.uniform(0.0, 5.0, (4, 5))
+        currents, idle = (scan(each, cells, method="exact").volts for each in (read, held))
+        currents = currents * (1.0 + 1.0 / gain)  # of a finite output
+        assert (idle >= currents * (1.0 - 1e-9)).all()
+        assert (idle <= currents * (1.0 + load / (1.0 + gain) / lead + 1e-9)).all()
+
+
+@pytest.mark.parametrize("lead", [1.0, 20.0, 200.0])
+def test_ends_that_differ_by_less_than_their_wires_leave_one_answer(lead: float) -> None:
+    array, readout = {"row_lead": 200.0, "column_lead": lead}, {"open_loop_gain": 1e5} | TURNS
+    design = digitised("grounded", 8, 8, 12, array=array, drive={"idle_rows": "float"}, readout=readout)
+    assert follow(design, [CELLS, CELLS])[-1].valid.all()
+    poor = design.replace(readout={"open_loop_gain": 100.0})
+    assert not follow(poor, [CELLS, CELLS])[-1].valid.any()
+
+
 @pytest.mark.parametrize("columns", ["float", "load"])
 def test_pulled_rows_of_more_than_a_hundred_cells_are_read(columns: str) -> None:
     drive = {"idle_rows": "pull", "idle_row_resistance": 1e4}

@@ -188,7 +188,7 @@ def test_the_search_finds_nothing_in_its_first_streams(family: str) -> None:
 def test_the_search_notices_a_wrong_cell(monkeypatch: pytest.MonkeyPatch) -> None:
     tally = _live_search.LiveTally()
     real = _live_streams.scan
-    monkeypatch.setattr(_live_streams, "scan", lambda design, cells: real(design, 1.2 * cells))
+    monkeypatch.setattr(_live_streams, "scan", lambda design, cells, **how: real(design, 1.2 * cells, **how))
     for number in range(2000, 2006):
         _live_search.check("inverting", number, tally)
     assert tally.count("wrong cell") >= 3

@@ -144,7 +144,7 @@ def test_an_open_cell_whose_output_an_offset_holds_at_its_limit_is_never_a_measu
 @pytest.mark.parametrize("noise_volts", [1e-6, 8e-6, 2e-5])
 def test_noise_of_fine_converters_brings_no_saturated_output_back_to_life(bits: int, noise_volts: float) -> None:
     """From the first frame on, in which nobody knows that the noise is many steps: up to 100 of 24 bits."""
-    design = board(4, 3, 50.0, bits=bits, readout={"supply": [-0.1, 2.9]})
+    design = board(4, 3, 40.0, bits=bits, readout={"supply": [-0.1, 2.9]})
     cells, draw = np.full((4, 3), 2e3), np.random.default_rng(bits)
     cells[1, 1] = cells[3, 1] = 60.0  # beyond the swing: each would be read as one that just reaches the limit
     for _ in range(30):

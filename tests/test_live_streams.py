@@ -36,6 +36,7 @@ FOUND = {
     "of two joined columns each reads what remains to it": [
         f"row floating:{number}" for number in (670000060, 610000168, 620000101, 630000057)
     ],
+    "what passes beside a cell is more than the cell": ["feedback:600000040"],
     "steps that are short far from the readings": ["feedback:680000079"],
     "cells of an ohm or less read like kiloohms": ["feedback:620000130", "feedback:550000045"],
     "a bridge joins columns whose readings have several answers": ["multiplexed:610000138"],

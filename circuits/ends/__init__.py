@@ -10,19 +10,17 @@
 =====================  =================================================================
 """
 
-from ._cards import DIODES, GROUND, OPAMP, Card, Statement, parse_cards, statements
-from ._equations import CELL, LINE, OUT, ROW, Equations, PortLaw, float_of, port_law
-from ._line_ends import OPEN_OHM, REF, Columns, LineEnds, Network, Rows, amplifier, is_bent
+from ._cards import GROUND, Card, Statement, statements
+from ._equations import CELL, LINE, OUT, ROW
+from ._line_ends import OPEN_OHM, REF, Columns, LineEnds, Network, Rows, amplifier
 from ._nodal import Solution, System, alone, inverted_nodes, solve, step_system
 from ._sections import ColumnEnd, Crosspoint, Event, Reference, RowEnd, Scan
 from ._spice import join, spice_cards
 
 __all__ = [
     "CELL",
-    "DIODES",
     "GROUND",
     "LINE",
-    "OPAMP",
     "OPEN_OHM",
     "OUT",
     "REF",
@@ -31,11 +29,9 @@ __all__ = [
     "ColumnEnd",
     "Columns",
     "Crosspoint",
-    "Equations",
     "Event",
     "LineEnds",
     "Network",
-    "PortLaw",
     "Reference",
     "RowEnd",
     "Rows",
@@ -45,12 +41,8 @@ __all__ = [
     "System",
     "alone",
     "amplifier",
-    "float_of",
     "inverted_nodes",
-    "is_bent",
     "join",
-    "parse_cards",
-    "port_law",
     "solve",
     "spice_cards",
     "statements",

@@ -5,7 +5,7 @@ amplifier outputs. Nothing moves: capacitors are open, and inductors are wires (
 states).
 
 A linear end is, seen from its line, one straight line between voltage and current, and what the converter samples is
-affine in them (:class:`PortLaw`). We find both by Gauss-Jordan elimination in rational numbers: cards are doubles, and
+affine in them (:class:`EndLaw`). We find both by Gauss-Jordan elimination in rational numbers: cards are doubles, and
 doubles are rational, so that an amplifier of gain 1e12 or a difference of nearly equal sources costs no digits.
 """
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from fractions import Fraction
+from functools import lru_cache
 from math import inf, isfinite
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ from ._cards import GROUND, Card
 LINE, OUT, ROW, CELL = "line", "out", "row", "cell"
 
 
-class PortLaw(NamedTuple):
+class EndLaw(NamedTuple):
     """A linear end, exactly: ``volts = source + resistance * current`` at the line, current into the end."""
 
     resistance: Fraction | None
@@ -143,7 +144,8 @@ class _Stamps:
             self._add(a, b, -value)
 
 
-def port_law(cards: Iterable[Card], where: str, out: str = LINE) -> PortLaw:
+@lru_cache(maxsize=4096)
+def end_law(cards: tuple[Card, ...], where: str, out: str = LINE) -> EndLaw:
     """The law of a linear end at its line, exactly.
 
     Args:
@@ -185,10 +187,10 @@ def port_law(cards: Iterable[Card], where: str, out: str = LINE) -> PortLaw:
     if volts in solved:
         source, resistance = affine(volts, amperes)
         output, slope = affine(column[sampled], amperes)
-        return PortLaw(resistance, source, output, slope)
+        return EndLaw(resistance, source, output, slope)
     current, _ = affine(amperes, volts)
     output, slope = affine(column[sampled], volts)
-    return PortLaw(None, current, output, slope)
+    return EndLaw(None, current, output, slope)
 
 
 def _reduced(rows: list[list[Fraction]], unknowns: int, where: str) -> dict[int, list[Fraction]]:

@@ -1,7 +1,7 @@
 """The ends of all lines of a board as cards, and as the numbers that the solvers of linear boards take.
 
 Row i ends in ``selected[i]`` or ``idle[i]``, column j in ``read[j]`` or ``unread[j]``. Where every end is
-linear and conducts like a resistance, its line law (:class:`._equations.PortLaw`) is all that the other lines can feel.
+linear and conducts like a resistance, its line law (:class:`._equations.EndLaw`) is all that the other lines can feel.
 The board then has the numbers of :class:`Rows` and :class:`Columns`. All other boards, with diodes, limited amplifiers,
 current sources or a reference that the ends share, are solved node by node (:mod:`..readouts._nodal`).
 """
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property, lru_cache
+from functools import cached_property
 from math import inf, isfinite
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ from ...common.arrays import BoolArray, FloatArray
 from .._tuning import HELD
 from ..solvers import IDEAL_WIRE
 from ._cards import GROUND, OPAMP, Card
-from ._equations import LINE, OUT, PortLaw, float_of, port_law
+from ._equations import LINE, OUT, EndLaw, end_law, float_of
 
 REF = "ref"
 """the node of the reference voltage"""
@@ -119,7 +119,7 @@ class LineEnds:
             if any(card.kind == "d" for card in network):
                 return -inf, inf
             smooth = self._smooth(network)
-            own, sampled = (_law(smooth, "column_end", where) for where in (node, self.out))
+            own, sampled = (end_law(smooth, "column_end", where) for where in (node, self.out))
             if not own.slope or not sampled.slope:  # it does not take part, or the converter's node does not move
                 return -inf, inf
             ratio = float_of(sampled.slope / own.slope)
@@ -164,7 +164,7 @@ class LineEnds:
 
         """
         laws = [
-            (_law(self.held(on), "row_end.selected"), _law(self.held(off), "row_end.idle"))
+            (end_law(self.held(on), "row_end.selected"), end_law(self.held(off), "row_end.idle"))
             for on, off in zip(self.selected, self.idle, strict=True)
         ]
         found = [_driver(on, off, datum) for on, off in laws]
@@ -175,8 +175,8 @@ class LineEnds:
 
     def columns(self, datum: Fraction) -> Columns | None:
         """The columns' ends as numbers, sources above ``datum`` in V; None where they are not of this kind."""
-        read = [_law(self.held(end), "column_end", self.out) for end in self.read]
-        unread = [_law(self.held(end), "column_end.idle") for end in self.unread]
+        read = [end_law(self.held(end), "column_end", self.out) for end in self.read]
+        unread = [end_law(self.held(end), "column_end.idle") for end in self.unread]
         found = [_thevenin(law, datum) for law in (*read, *unread)]
         known = np.array([end for end in found if end is not None])
         if len(known) < len(found):
@@ -194,13 +194,13 @@ class LineEnds:
         """
         if self.crosspoint:
             return "parts at each cell are not modelled in recovery"
-        ends = [_law(self._smooth(end), "column_end", self.out) for end in self.read]
+        ends = [end_law(self._smooth(end), "column_end", self.out) for end in self.read]
         if all(law.resistance is None for law in ends):
             return "nothing loads the columns, so that readings tell ratios of a column's cells only; expected a load"
         if all(law.resistance is not None and abs(law.resistance) < HELD * abs(law.slope) for law in ends):
             return ""  # amplifiers hold the columns, and each reading is a current
         for i, pair in enumerate(zip(self.selected, self.idle, strict=True)):
-            on, off = (_law(self._smooth(network), "row_end").resistance for network in pair)
+            on, off = (end_law(self._smooth(network), "row_end").resistance for network in pair)
             if off is not None and (on is None or abs(off) < abs(on)):
                 selected = "a current source" if on is None else f"{float_of(on):g} ohm"
                 return (
@@ -211,7 +211,7 @@ class LineEnds:
 
     def rest(self) -> Fraction:
         """V of the first column's end without current; 0 where it takes none."""
-        law = _law(self.held(self.read[0]), "column_end", self.out)
+        law = end_law(self.held(self.read[0]), "column_end", self.out)
         return law.source if law.resistance is not None else Fraction(0)
 
 
@@ -234,12 +234,7 @@ def _unbent(network: Network) -> Network:
     return tuple(parts)
 
 
-@lru_cache(maxsize=4096)
-def _law(network: Network, where: str, out: str = LINE) -> PortLaw:
-    return port_law(network, where, out)
-
-
-def _driver(on: PortLaw, off: PortLaw, datum: Fraction) -> Rows | None:
+def _driver(on: EndLaw, off: EndLaw, datum: Fraction) -> Rows | None:
     """A row's ends as driver, lead and pull-down. The pull-down stays while the row is selected."""
     if on.resistance is None or on.resistance < 0 or (off.resistance is None and off.source):
         return None
@@ -256,7 +251,7 @@ def _driver(on: PortLaw, off: PortLaw, datum: Fraction) -> Rows | None:
     return Rows(np.array([float_of(lead)]), pull, floating, float_of(volts), datum) if volts else None
 
 
-def _thevenin(law: PortLaw, datum: Fraction) -> tuple[float, float, float, float] | None:
+def _thevenin(law: EndLaw, datum: Fraction) -> tuple[float, float, float, float] | None:
     """Resistance, source, output and slope; None for an end that is no resistance."""
     if law.resistance is None:
         if law.source:

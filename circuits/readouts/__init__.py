@@ -21,13 +21,12 @@
 from ._adjoint import SensitivityGroup
 from ._circuit import Reading, ReadoutCircuit
 from ._described import networks
-from ._ends import EndParts, Ends, one_driven, sum_of_others, terminate
+from ._ends import one_driven, terminate
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
 from ._port_law import PortLaw
 from ._quick import PortFields, QuickFields, QuickNetwork, columns_impedance
 from ._row_amplifier import RowAmplifier
-from ._terminated import Terminated
 from ._voltage_divider import VoltageDivider
 from ._voltage_feedback import VoltageFeedback
 
@@ -38,8 +37,6 @@ CIRCUITS: dict[str, ReadoutCircuit] = {
 
 __all__ = [
     "CIRCUITS",
-    "EndParts",
-    "Ends",
     "LinearReadout",
     "PortFields",
     "PortLaw",
@@ -48,11 +45,9 @@ __all__ = [
     "Reading",
     "ReadoutCircuit",
     "SensitivityGroup",
-    "Terminated",
     "columns_impedance",
     "networks",
     "one_driven",
     "output_rounding",
-    "sum_of_others",
     "terminate",
 ]

@@ -71,13 +71,7 @@ class TiedPorts(NamedTuple):
 
 
 def terminated_groups(
-    board: Parts,
-    ports: FloatArray,
-    steps: IntArray,
-    ends: Ends,
-    slopes: Callable[[], dict[str, Ends]],
-    *,
-    one_by_one: bool,
+    board: Parts, ports: FloatArray, steps: IntArray, ends: Ends, slopes: Callable[[], dict[str, Ends]]
 ) -> Iterator[SensitivityGroup]:
     """Groups of readings of columns that end in Thevenin equivalents: one for each row if idle rows float, one for each
     turn if columns take turns.
@@ -88,13 +82,12 @@ def terminated_groups(
         steps: rows that are selected in turn.
         ends: the end of each column while it is read.
         slopes: gives derivatives of ``ends`` by each kind of part of the same column.
-        one_by_one: whether columns take turns, and end as idle columns do while they are not read.
 
     """
     rows, columns = board.shape
     fixed_ports = rows + board.pulled  # the ports ahead of the columns
     for some_rows in np.split(steps, len(steps)) if board.floating else [steps]:
-        for read in board.turns if one_by_one else [np.ones(columns, dtype=np.bool_)]:
+        for read in board.turns:
             some = np.flatnonzero(read)
             batch, every = ports.shape[:-2], fixed_ports + columns
             tie = np.zeros((*batch, every))

@@ -22,7 +22,6 @@ from ._ends import Ends
 from ._linear import LinearReadout
 from ._port_law import PortLaw
 from ._quick import QuickFields, QuickNetwork
-from ._rounding import energy_bound
 
 
 class Reading(NamedTuple):
@@ -48,16 +47,22 @@ class ReadoutCircuit(ABC):
     """as in ``readout.circuit``"""
     senses: ClassVar[Literal["columns", "rows"]] = "columns"
     """which of the array's lines are read; the others are driven"""
-    has_amplifiers: ClassVar[bool] = True
-    """whether gain, offset voltage, bias current and supply take part"""
     virtual_ground: ClassVar[bool] = False
     """whether amplifiers hold all columns at the reference at once, and each output measures its column's current"""
-    mixes_cells: ClassVar[bool] = False
-    """whether other cells change a reading even if all parts are ideal"""
     drives_idle_lines: ClassVar[bool] = False
     """whether an amplifier drives the idle lines, so that ``drive.idle_rows`` does not count"""
     behind_the_load: ClassVar[str] = ""
     """what a circuit without virtual grounds has besides its load, in a few words for the schematic"""
+
+    @property
+    def has_amplifiers(self) -> bool:
+        """Whether gain, offset voltage, bias current and supply take part."""
+        return self.virtual_ground or self.drives_idle_lines
+
+    @property
+    def mixes_cells(self) -> bool:
+        """Whether other cells change a reading even if all parts are ideal."""
+        return not self.has_amplifiers
 
     # Reading
 
@@ -96,9 +101,9 @@ class ReadoutCircuit(ABC):
     def end_resistance(self, board: Parts) -> FloatArray:
         """(M,) ohm that the circuit presents behind each column lead; the bound on rounding errors uses them."""
 
+    @abstractmethod
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
         """Bound in V (..., N, M) on output errors by a relative error of all conductances: :mod:`._rounding`."""
-        return energy_bound(board, ports, relative, self.end_resistance(board))
 
     def read_ends(self, board: Parts) -> Ends | None:
         """Thevenin equivalents at the columns' ends while they are read and no output is at a limit.
@@ -135,7 +140,7 @@ class ReadoutCircuit(ABC):
 
     def reads_together(self, columns: str, idle_columns: str) -> bool:
         """Whether all columns are read at once, for ``readout.columns`` and ``readout.idle_columns``."""
-        return self.virtual_ground and columns == "parallel"
+        return columns == "parallel" if self.virtual_ground else idle_columns == "load"
 
     def columns_one_by_one(self, board: Parts) -> bool:
         """Whether each column is measured on its own, because idle columns end in something else than the read one."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -28,8 +27,6 @@ class Networks(ReadoutCircuit):
     """Networks at the ends of all lines."""
 
     name = "described"
-    has_amplifiers = False
-    mixes_cells = True
 
     def __init__(self, *, inverts: bool) -> None:
         """``inverts``: whether a cell that conducts more lowers the output, for a positive drive."""
@@ -59,11 +56,6 @@ class Described(Networks, Terminated):
     def ends_of(self, board: Parts, parts: EndParts, state: SignArray | None = None) -> Ends:
         ends = _equivalents(board)
         return Ends(ends.resistance, ends.source, ends.output, ends.slope)
-
-    def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
-        ends = _equivalents(board)
-        sources = np.maximum(np.abs(ends.source), np.abs(ends.idle_source))
-        return super().energy_bound(replace(board, reference=np.abs(ends.slope), offset=sources), ports, relative)
 
     def alone(self, board: Parts) -> Alone:
         # The row's end by itself: driver, lead and pull-down as a Thevenin equivalent.

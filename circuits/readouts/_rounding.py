@@ -7,8 +7,6 @@ Y_ii of all ports therefore bound the error of every output.
 
 from __future__ import annotations
 
-from math import isfinite
-
 import numpy as np
 
 from ...common.arrays import FloatArray
@@ -17,14 +15,18 @@ from ..solvers import series_conductance, siemens
 from ._ends import sum_of_others
 
 
-def energy_bound(board: Parts, ports: FloatArray, relative: float, end_resistance: FloatArray) -> FloatArray:
+def energy_bound(
+    board: Parts, ports: FloatArray, relative: float, end_resistance: FloatArray, sources: FloatArray, gain: FloatArray
+) -> FloatArray:
     """Bound in V (..., N, M) on the errors of outputs by a relative error of all conductances.
 
     Args:
-        board: sources, leads and reference resistors.
+        board: drive and leads.
         ports: (..., P, P) S between row terminals, the reference if rows have pull-downs, and column terminals.
         relative: bound on the relative error of all conductances.
         end_resistance: (M,) ohm behind the column leads.
+        sources: (M,) V, largest magnitude behind each of them.
+        gain: (M,) ohm: largest magnitude of output over current.
 
     """
     behind = of_columns(board.column_lead + end_resistance)
@@ -33,12 +35,9 @@ def energy_bound(board: Parts, ports: FloatArray, relative: float, end_resistanc
     ends = np.insert(behind, 0, 0.0, axis=-1) if board.pulled else behind
     row = np.sqrt(conductance_into_rows(ports, rows, ends))
     column = np.sqrt(series_conductance(total, siemens(behind)))
-    limits = [float(np.max(np.abs(limit - board.level))) for limit in board.supply if isfinite(limit)]
-    others = np.maximum(np.abs(board.offset) + abs(board.level) * board.inverse_gain, max(limits, default=0.0))
-    others = of_columns(others + np.abs(board.lift))
     with np.errstate(invalid="ignore"):  # inf times 0 where a conductance is infinite
-        applied = abs(board.drive) * row[..., :, None] + (others * column).sum(axis=-1)[..., None, None]
-        error: FloatArray = board.reference * relative * applied * column[..., None, :]
+        applied = abs(board.drive) * row[..., :, None] + (of_columns(sources) * column).sum(axis=-1)[..., None, None]
+        error: FloatArray = gain * relative * applied * column[..., None, :]
     return error
 
 

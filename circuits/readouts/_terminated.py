@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from ._quick import (
     terminated_fields,
     terminated_outputs,
 )
+from ._rounding import energy_bound
 
 SignArray = NDArray[np.int8]
 
@@ -69,6 +71,13 @@ class Terminated(ReadoutCircuit):
             return None
         return PortLaw.of_ends(self.read_ends(board), wire, board.drive, floating=board.floating)
 
+    def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
+        ends = self.read_ends(board)
+        limits = [float(np.max(np.abs(limit - board.level))) for limit in board.supply if isfinite(limit)]
+        limited = max(limits) + np.abs(board.lift) if limits else 0.0  # the source of an output at a limit
+        sources = np.maximum(np.maximum(np.abs(ends.source), np.abs(board.idle_source)), limited)
+        return energy_bound(board, ports, relative, self.end_resistance(board), sources, np.abs(ends.slope))
+
     def read(self, board: Parts, ports: FloatArray) -> Reading:
         ends = self.read_ends(board)
         currents = self._currents(board, ports, ends)
@@ -113,8 +122,7 @@ class Terminated(ReadoutCircuit):
 
             ends = self.ends_of(board, parts, pattern)  # one at a limit does not move: its adjoint field is zero
             steps = np.flatnonzero(pattern_of.ravel() == number)
-            one_by_one = self.columns_one_by_one(board)
-            yield from terminated_groups(board, ports, steps, ends, slopes, one_by_one=one_by_one)
+            yield from terminated_groups(board, ports, steps, ends, slopes)
 
     def linear(self, board: Parts) -> LinearReadout | None:
         """Linear with grounded idle rows and ends that all stand at one potential; None otherwise."""

@@ -18,15 +18,10 @@ class VoltageDivider(Terminated):
     """A load resistor on each column, and nothing else."""
 
     name = "voltage-divider"
-    has_amplifiers = False
-    mixes_cells = True
 
     def ends_of(self, board: Parts, parts: EndParts, state: SignArray | None = None) -> Ends:
         nothing = np.zeros_like(parts.reference)
         return Ends(parts.reference, source=nothing, output=nothing + parts.level, slope=parts.reference)
-
-    def reads_together(self, columns: str, idle_columns: str) -> bool:
-        return idle_columns == "load"
 
     def ends(self, board: Parts) -> Ends | None:
         return None  # no virtual grounds

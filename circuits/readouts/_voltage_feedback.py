@@ -59,8 +59,6 @@ class VoltageFeedback(VoltageDivider):
     """A load on the sensed column, and a follower that drives all idle lines."""
 
     name = "voltage-feedback"
-    has_amplifiers = True
-    mixes_cells = False
     drives_idle_lines = True
     behind_the_load = "a follower drives all idle lines"
 

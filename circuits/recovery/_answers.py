@@ -12,6 +12,11 @@ is at r_m D_mj, and the idle columns let out to their ends at most
 
     min(sum_m r_m D_mj sum_k G_mk / (1 + w_k G_mk), max_m (r_m D_mj) sum_k 1 / w_k).
 
+Where ends hardly differ, this asks too much. With all columns ended as idle ones are, they carry the currents J, of
+which one set of cells is the origin at most. The end of the column that is read stands e higher than it would while
+idle, so that its current is I = J - Y e, and no end conducts more than its wires w let pass: Y <= 1 / w. So all answers
+lie within an error e / w of the readings' currents, and where cells change by little within it, they are one.
+
 A row that floats while it is idle joins its cell to the cells of other columns only: it conducts D_ij (1 - a_ij) /
 (1 - r_i sum_l D_il), where a_ij is the cell's share in its row, and D_ij a_ij more while it is selected. Both increase
 with every D, too.
@@ -50,8 +55,10 @@ def several_answers(board: Board) -> bool:
     circuit = board.circuit
     if board.line_ends is not None and board.described is None:
         return False  # not linear: the circuit itself refuses what is ambiguous
-    more = circuit.drives_idle_lines
-    if not more and (read := circuit.read_ends(board)) is not None:
+    more = False
+    if circuit.drives_idle_lines:  # to where the read column stands, but for what the amplifiers lack
+        more = bool(board.inverse_gain.any() or board.offset.any())
+    elif (read := circuit.read_ends(board)) is not None:
         offset = np.isfinite(board.idle_resistance) & (read.source != 0.0)
         more = bool((offset | (board.idle_resistance < read.resistance)).any())
     leads = np.where(np.isfinite(board.row_ohms), board.row_ohms, 0.0)
@@ -82,6 +89,9 @@ class Answers:
         self._out = out.sum() - out
         self._column_most = self._out + (0.0 if board.floating else (1.0 / (self._lead + LEAST_SHORT_OHM)).sum())
         self._least_ohm = max(least_ohm, _CONTACT)
+        at_end = board.circuit.port_law(replace(board, floating=False), np.zeros(len(wire)))
+        assert at_end is not None
+        self._stands = at_end.potential - idle * at_end.current  # V and V/V, above an idle end of the same current
 
     def __call__(
         self,
@@ -123,6 +133,20 @@ class Answers:
         written = below, above, np.empty((4, max(rows, columns))), np.empty((2, rows)), least, greatest
         answers.unchecked(np.ascontiguousarray(volts), *law, *flags, *priors, self._floating, error, *written)
         return least, greatest
+
+    def by_ends(
+        self, volts: FloatArray, limited: BoolArray | None = None, under_range: BoolArray | None = None
+    ) -> float:
+        """Largest error in V of the readings, but for those at a limit, within which all answers lie: e / w.
+
+        Arguments are those of a call.
+        """
+        counted = self._present
+        for unknown in (limited, under_range):
+            counted = counted if unknown is None else counted & ~unknown
+        apart = np.abs(self._stands[0] + self._stands[1] * volts) / (self._beyond + LEAST_SHORT_OHM)
+        apart /= np.abs(self._law.current[1])
+        return float(apart[counted].max(initial=0.0))
 
 
 def are_one(low: FloatArray, high: FloatArray) -> BoolArray:

@@ -45,7 +45,7 @@ class Kept(NamedTuple):
     base: FloatArray
     """S, cells at which they were made"""
     beyond: FloatArray
-    """how far from 1 they were there"""
+    """how far above 1 they were there"""
     row_sums: FloatArray
     """(N,) S of the base"""
     column_sums: FloatArray
@@ -139,9 +139,10 @@ class Factors:
         kept.rho[...], kept.added[...] = np.where(usual, ratio, 1.0), np.where(usual, 0.0, cells - again)
         # What adds is as steep as a factor, if there is one, else as beside other cells.
         kept.base[...] = cells
-        kept.beyond[...] = np.abs(np.where((again > 0.0) & (by_law > 0.0), ratio, kept.rho) - 1.0)
+        kept.beyond[...] = np.where((again > 0.0) & (by_law > 0.0), ratio, kept.rho) - 1.0
         if not usual.all():
-            kept.beyond[~usual] = np.maximum(kept.beyond, kept.beyond[usual].max(initial=0.0))[~usual]
+            size = np.abs(kept.beyond)
+            kept.beyond[~usual] = np.maximum(size, size[usual].max(initial=0.0))[~usual]
         kept.row_sums[...], kept.column_sums[...] = cells.sum(axis=1), cells.sum(axis=0)
         kept.coupling[...] = 0.0
         couple.unchecked(cells, *self._lines, kept.coupling)

@@ -43,10 +43,11 @@ MEASURED, IMPOSSIBLE, STALE, LOOSE = range(4)
 """what came of a frame: a measurement; readings that no cells give; factors that no longer hold; or cells that the
 bounds beside unknown ones leave open, and of which derivatives of all readings may know more
 """
+_WITHIN = 0.1  # relative change of a cell within the error in which all answers lie, up to which they are one
 _DOMINATED = 0.1  # share of the drive at a column over the largest one, up to which a cell is small beside another
 
 SHORTS, SEGMENTS, BESIDE_END, WIRES, WHOLE_WIRES, SHUNT, SERIES = range(7)
-RHO, ADDED, BASE, FACTOR_BEYOND, FOUND, LEFT, HIDDEN, LOW, HIGH = range(7, 16)
+RHO, ADDED, BASE, FACTOR_BEYOND, FOUND, LEFT, HIDDEN, LOW, HIGH, BY_ENDS = range(7, 17)
 """places of what is given for each cell; the first are those of :meth:`.Law.given`, likewise of columns and rows"""
 LEAST_LEFT, BEHIND, BESIDE_LAW, COLUMN_SUMS, COUPLING = range(5)
 LEAD, MOST, LEAST_ROW_LEFT, ROW_SUMS = range(4)
@@ -101,7 +102,7 @@ def measure_by_law(
     Args:
         volts: readings.
         laws: (3, 2, M) current, potential and drive of the port law.
-        of_columns: (5, M); ``of_rows`` (4, N); ``of_cells`` (16, N, M): what is given, by the places above.
+        of_columns: (5, M); ``of_rows`` (4, N); ``of_cells`` (17, N, M): what is given, by the places above.
         present: cells that take part.
         matters: changed.
         boards: the constants.
@@ -261,8 +262,9 @@ def measure_by_law(
             stated, lower, upper = uncertainty[i, j] + others[i, j], work[LOWER, i, j], work[UPPER, i, j]
             if board.several > 0.0:
                 low, high, middle_one = of_cells[LOW, i, j], of_cells[HIGH, i, j], by_law[i, j]
-                stated = max(stated, max(high - middle_one, middle_one - low) / abs(middle_one))
-                stated = stated if high <= ONE * low else math.inf
+                if not uncertainty[i, j] * of_cells[BY_ENDS, i, j] <= _WITHIN:
+                    stated = max(stated, max(high - middle_one, middle_one - low) / abs(middle_one))
+                    stated = stated if high <= ONE * low else math.inf
                 lower, upper = max(lower, low), min(upper, high)
             valid = stated <= board.accuracy
             # A cell far below its wires reads like a short, whatever its own error is.
@@ -379,7 +381,7 @@ class LawFrames:
         self._enclosure, self._nowhere, self._present = enclosure, law.nowhere, law.present
         self._constants, self._no_reading = constants, no_reading
         self._matters = np.zeros((rows, columns), dtype=np.bool_)
-        given = np.zeros((5, columns)), np.zeros((4, rows)), np.zeros((HIGH + 1, rows, columns))
+        given = np.zeros((5, columns)), np.zeros((4, rows)), np.zeros((BY_ENDS + 1, rows, columns))
         for places, known in zip(given, law.given(), strict=True):
             places[: len(known)] = known
         self._of_columns, self._of_rows, self._of_cells = of_columns, _, of_cells = given
@@ -391,9 +393,10 @@ class LawFrames:
             *(self._of_rows[ROW_SUMS], of_columns[COLUMN_SUMS], of_columns[COUPLING]),
         )
         self.found, self.left, self.by_hidden = of_cells[FOUND], of_cells[LEFT], of_cells[HIDDEN]
-        self.low, self.high = of_cells[LOW], of_cells[HIGH]
-        """S, bounds on all answers; ``found`` and ``left`` are what the iteration of the factors finds, S, and what it
-        leaves, relative; ``by_hidden`` what cells behind a break may change, relative
+        self.low, self.high, self.by_ends = of_cells[LOW], of_cells[HIGH], of_cells[BY_ENDS]
+        """S, bounds on all answers, and error of the readings, over their own, within which these lie; ``found`` and
+        ``left`` are what the iteration of the factors finds, S, and what it leaves, relative; ``by_hidden`` what cells
+        behind a break may change, relative
         """
         self._work = np.empty((OFF_BEFORE + 1, rows, columns))
         self.by_law, self.linear, self.others = (self._work[place] for place in (BY_LAW, LINEAR, OTHERS))

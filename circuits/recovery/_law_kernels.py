@@ -316,6 +316,12 @@ def couple(cells: Rows, lead: Row, behind: Row, floating: bool, coupling: Row) -
 
 
 @loop
+def beside(beyond: float) -> float:
+    """What passes beside a cell, or what is lost of its drive, over the cell, whose factor is 1 + ``beyond``."""
+    return beyond if beyond >= 0.0 else -beyond / max(1.0 + beyond, TINY)
+
+
+@loop
 def move(
     change: Rows,
     cells: Rows,
@@ -351,20 +357,22 @@ def move(
         for i in range(rows):
             moved += change[i, j]
             if matters[i, j] and added[i, j] == 0.0:
-                most = max(most, beyond[i, j])
+                most = max(most, beside(beyond[i, j]))
         in_columns[j] = most * moved / column_sums[j]
     for i in range(rows):
         most, moved = 0.0, 0.0
         for j in range(columns):
             moved += change[i, j]
             if matters[i, j] and added[i, j] == 0.0:
-                most = max(most, beyond[i, j])
+                most = max(most, abs(beyond[i, j]))
         by_row = most * moved / row_sums[i]
         for j in range(columns):
-            # What passes beside a cell does not change with it, though nothing may be left of it where cells are equal.
-            least = max(cells[i, j], OPEN)
-            own = min(change[i, j] / base[i, j], 1.0) + change[i, j] * max(1.0 / least - 1.0 / base[i, j], 0.0)
-            off[i, j] = by_row + in_columns[j] + own * max(beyond[i, j], passed)
+            # What its column lets out follows a cell, and what passes beside it does not fall with it, though nothing
+            # may be left of both where cells are equal.
+            least, passes = max(cells[i, j], OPEN), beside(beyond[i, j])
+            fallen = change[i, j] * max(1.0 / least - 1.0 / base[i, j], 0.0)
+            off[i, j] = by_row + in_columns[j] + min(change[i, j] / base[i, j], 1.0) * max(passes, coupling[j])
+            off[i, j] += fallen * max(passes, passed)
             if added[i, j] != 0.0:
                 off[i, j] *= max(max(base[i, j], abs(added[i, j])) / least, 1.0)
 

@@ -180,6 +180,8 @@ class LawLive:
             error = self._half_step + SIGMAS * frame.noise
             answers = self._answers(frame.volts, error, frame.limited, frame.under_range)
             self._frames.low[...], self._frames.high[...] = answers
+            by_ends = self._answers.by_ends(frame.volts, frame.limited, frame.under_range)
+            self._frames.by_ends[...] = by_ends / error
         known = factors is not None and factors.hold
         measured, came, opens = self._frames(frame, known=known)
         self._impossible = self._impossible + 1 if came == IMPOSSIBLE else 0

@@ -32,13 +32,12 @@ from ...errors import InputError, SolverError
 from .._amplifier_model import AmplifierModel
 from .._board import Board
 from .._design import Design
+from .._sections import LEAST_REFERENCE_OHM
 from .._tuning import POINTS_PER_DECADE, SHARPEST_EDGE_S
 from ._ngspice import simulate
 
 LARGEST_GAIN = 1e7
 """An infinite open-loop gain is written as this."""
-LEAST_OHM = 1e-6
-"""Wires without resistance are written as this."""
 ANALYSES = ("transient", "noise", "loop gain")
 
 
@@ -292,10 +291,10 @@ class _Writer:
     def _sample(self, j: int) -> Iterator[str]:
         adc = self.board.adc
         if adc and adc.sampling_capacitance:
-            yield f"Rswitch{j} out{j} sample{j} {max(adc.switch_resistance, LEAST_OHM)!r}"
+            yield f"Rswitch{j} out{j} sample{j} {max(adc.switch_resistance, LEAST_REFERENCE_OHM)!r}"
             yield f"Csample{j} sample{j} 0 {adc.sampling_capacitance!r}"
         else:
-            yield f"Rsample{j} out{j} sample{j} {LEAST_OHM!r}"
+            yield f"Rsample{j} out{j} sample{j} {LEAST_REFERENCE_OHM!r}"
 
     def _noise(self, j: int, plus: str) -> Iterator[str]:
         """The amplifier's noise voltage in series with its input, and its noise current into the column."""
@@ -372,4 +371,5 @@ class _Writer:
 
 
 def _wire(ohm: float) -> float:
-    return max(float(ohm), LEAST_OHM)
+    """Ohm of a part in the netlist, where none has less than a reference resistor may have."""
+    return max(float(ohm), LEAST_REFERENCE_OHM)
