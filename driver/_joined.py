@@ -108,7 +108,8 @@ class Joiner:
         parts, fresh = list(self._last), list(self._fresh)
         self._fresh = [False] * len(parts)
         new = [part for part, is_new in zip(parts, fresh, strict=True) if is_new and part is not None]
-        newest = max(new, key=lambda frame: frame.monotonic_time)
+        # Of all boards: the frame that is new may be older than another that is shown, and time would go back.
+        newest = max((part for part in parts if part is not None), key=lambda frame: frame.monotonic_time)
         reason = self._cells(parts, lambda frame: frame.reason, _MISSING, _NO_CELL).astype(np.int8)
         old = np.zeros(reason.shape, dtype=np.bool_)
         first = 0

@@ -128,6 +128,20 @@ def test_every_frame_of_a_board_is_in_one_joined_frame_and_none_waits_for_a_sile
         assert seen[k] in (given_kpa[k], given_kpa[k][:-1])
 
 
+@given(st.lists(st.tuples(st.sampled_from([0, 1, 2]), st.floats(0.001, 0.4), st.floats(0.0, 0.3)), max_size=40))
+def test_the_time_of_a_joined_skin_never_goes_back(arrivals: list[tuple[int, float, float]]) -> None:
+    """Frames of the boards come with delays of their own; each board's come in order."""
+    board = Geometry.rectangle((2, 2), 0.01)
+    joiner, now, last = Joiner([board] * 3, Touch(20.0)), 0.0, [0.0, 0.0, 0.0]
+    times = []
+    for which, pause_s, delay_s in arrivals:
+        now += pause_s
+        last[which] = max(last[which], now - delay_s)
+        for joined in joiner.add(which, frame_at(last[which], board)):
+            times.append(joined.monotonic_time)
+    assert times == sorted(times)
+
+
 EVENTS = ("overrun", "reconnected", "rebooted", "estimator_restarted")
 
 
