@@ -19,6 +19,7 @@ from ohmskin.circuits import (
     Design,
     Readings,
     Reason,
+    Status,
     adc_codes,
     ideal_volts,
     live_recovery,
@@ -383,6 +384,10 @@ def test_readers_know_where_described_outputs_stay(parts: list[str], at_limit: l
     saturated[tuple(zip(*at_limit, strict=True))] = True
     ends = design.board.supply
     np.testing.assert_allclose(np.abs(frame.volts[saturated][:, None] - ends).min(axis=1), 0.0, atol=1e-3)
+    recovery = recover(design, frame.volts)
+    assert (recovery.status[saturated] == Status.SATURATED).all()
+    known = np.isfinite(recovery.uncertainty)
+    assert (np.abs(recovery.resistance[known] / cells[known] - 1.0) <= recovery.uncertainty[known]).all()
     reader, codes = CountReader(design), adc_codes(design, frame.volts)
     for _ in range(3):
         found = reader(codes)
@@ -390,6 +395,16 @@ def test_readers_know_where_described_outputs_stay(parts: list[str], at_limit: l
     assert found.valid.any()
     off = np.abs(cells / found.resistance - 1.0)[found.valid]
     assert (off <= found.uncertainty[found.valid]).all()
+
+
+def test_cells_that_nothing_drives_are_not_called_open() -> None:
+    ends = board(["R1 line 0 25"], [], ["X1 0 line out opamp", "R1 line out 2k"])
+    design = Design.model_validate({"array": {"rows": 3, "columns": 2, "row_lead": 5.0}} | ends)
+    volts = scan(design, np.full((3, 2), 8e3)).volts
+    with pytest.raises(SolverError, match="no reading depends on the cells"):
+        recover(design, volts)
+    driven = design.replace(row_end={"selected": ["V1 line 0 -1"], "idle": ["R1 line 0 25"]})
+    assert (recover(driven, volts).status == Status.OPEN).all()
 
 
 def test_each_end_has_its_own_values() -> None:

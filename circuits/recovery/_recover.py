@@ -9,7 +9,7 @@ far as they differ from those that were measured, all errors are larger, and the
 from __future__ import annotations
 
 from dataclasses import replace
-from math import inf
+from math import inf, isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ from .._design import Design
 from .._exact import read_exactly
 from .._parts import LEAST_SHORT_OHM
 from .._sections import Adc
+from .._tuning import PROBES_S
 from ..solvers import ULP
 from ._known_board import KnownBoard
 from ._live import live_inverse
@@ -40,6 +41,7 @@ _REFUSED = (
     "no cell resistances were found that give these readings; check that the design is that of the board, and that its "
     "circuit determines the cells"
 )
+_UNDRIVEN = "no reading depends on the cells; check that a selected row has another potential than the columns"
 
 
 def recover(
@@ -91,10 +93,12 @@ class Recoverer:
         self._error = adc_error(behind)
         self._joined = any(fault.ohms == 0 for fault in behind.shorts + behind.bridges)
 
+    @np.errstate(divide="ignore", invalid="ignore")
     def _begun(self) -> LiveRecovery:
         """The live recovery, before its first frame."""
         return live_inverse(self._exact, ValidityRule(_KNOWN, averages=inf), self._least_ohm)
 
+    @np.errstate(divide="ignore", invalid="ignore")
     def __call__(self, volts: ArrayLike, *, clipped: ArrayLike | None = None) -> Recovery:
         """As :func:`recover`."""
         measured = _checked(self._design, volts)
@@ -116,7 +120,13 @@ class Recoverer:
             raise SolverError(_REFUSED)
         if not solved:  # these cells do not give the readings
             found = Measurement.unknown(measured.shape, Reason.UNCERTAIN)
-        return self._recovery(found, self._apparent(measured), bounded, self._exact.model.evaluations - before)
+        evaluations = self._exact.model.evaluations - before
+        recovery = self._recovery(found, self._apparent(measured), bounded, evaluations)
+        if (recovery.status == Status.OPEN).all():  # or nothing drives them: then other cells give the same readings
+            others = np.full(measured.shape, 1.0 / PROBES_S[1])
+            if np.abs(self._readings(others) - measured).max() <= self._error + SIGMAS * noise:
+                raise SolverError(_UNDRIVEN)
+        return recovery
 
     def _limits(self, volts: FloatArray, clipped: ArrayLike | None) -> tuple[BoolArray | None, BoolArray | None]:
         """Readings (rows, columns) at a limit whose cells conduct at least, and at most, what the readings say."""
@@ -126,9 +136,9 @@ class Recoverer:
             at_limit = np.asarray(clipped, dtype=np.bool_)
             top = at_limit if adc is None else at_limit & (volts > sum(adc.range) / 2)
             bottom = at_limit if adc is None else at_limit & ~top
-        if board.circuit.has_amplifiers or board.described is not None:
-            low, high = board.supply
-            top, bottom = top | (volts >= high), bottom | (volts <= low)
+        low, high = board.supply
+        rounding = _ROUNDING * max((abs(limit) for limit in (low, high) if isfinite(limit)), default=0.0)
+        top, bottom = top | (volts >= high - rounding), bottom | (volts <= low + rounding)
         if (board.drive > 0) == board.circuit.inverts:
             top, bottom = bottom, top
         bottom = bottom & ~top
@@ -158,8 +168,12 @@ class Recoverer:
             cells = np.where(found.reason == Reason.NO_CURRENT, inf, 1.0 / np.maximum(found.conductance, 0.0))
         if np.isnan(cells).any():
             return 0.0
+        return float(np.abs(self._readings(cells) - volts).max())
+
+    def _readings(self, cells: FloatArray) -> FloatArray:
+        """V (rows, columns) of cells in ohm, by the exact model."""
         transpose = self._board.transpose
-        return float(np.abs(transpose(read_exactly(self._board, transpose(cells))[0].volts) - volts).max())
+        return transpose(read_exactly(self._board, transpose(cells))[0].volts)
 
     def _recovery(self, found: Measurement, apparent: FloatArray, bounded: BoolArray, evaluations: int) -> Recovery:
         """Resistances, status and uncertainties.
