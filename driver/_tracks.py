@@ -50,8 +50,8 @@ def follow(count: int, skin: Skin, memory: Memory, scan: Scan, time_s: float) ->
     places = places[:known]
     shared = np.empty(known, np.intp)
     share(places, count, memory, scan.before, time_s, shared)
-    for place in places:
-        tracks[place].patch = 0.0
+    for each in places:
+        tracks[each].patch = 0.0
     together = np.empty(MOST_TOGETHER, np.intp)
     for k in range(count):
         fingers = strongest(tracks, places, shared, k, together)
@@ -66,8 +66,8 @@ def follow(count: int, skin: Skin, memory: Memory, scan: Scan, time_s: float) ->
             cells = memory.order[int(patch.first) : int(patch.first) + int(patch.cells)]
             fingers = move_together(tracks, together[:fingers], patch, cells, skin.spots, scan.load, time_s)
         name(tracks, together[:fingers], patch)
-        for place in together[:fingers]:
-            tracks[place].patch = k + 1.0
+        for each in together[:fingers]:
+            tracks[each].patch = k + 1.0
     last = 0
     for place in range(int(progress.tracks)):
         track = tracks[place]
