@@ -127,7 +127,7 @@ class Board(Parts):
             bias=across(readout, "bias_current"),
             drive=single(drive, "voltage"),
             level=single(readout, "reference_voltage"),
-            supply=readout.supply,
+            supply=readout.supply if circuit.has_amplifiers else (-inf, inf),
             transposed=transposed,
             floating=drive.idle_rows != "ground" and not circuit.drives_idle_lines,
             pull=drive.idle_row_resistance,

@@ -415,6 +415,26 @@ def test_bad_readings_are_refused_by_name(volts: Any, message: str) -> None:
         recover(amplifier(2, 2), volts)
 
 
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"accuracy": np.nan}, "accuracy is nan; expected"),
+        ({"accuracy": 0.0}, "accuracy is 0.0; expected"),
+        ({"least_ohm": np.inf}, "least_ohm is inf; expected"),
+        ({"clipped": np.zeros((2, 3))}, r"clipped has shape \(2, 3\), expected \(2, 2\)"),
+    ],
+)
+def test_bad_arguments_of_a_recovery_are_refused_by_name(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        recover(amplifier(2, 2), np.full((2, 2), 0.1), **given)
+
+
+def test_a_supply_that_a_divider_has_not_limits_none_of_its_readings() -> None:
+    limited = amplifier(3, 2, supply=(0.0, 0.3)).with_circuit("voltage-divider").replace(drive={"voltage": 1.0})
+    cells = np.full((3, 2), 1e3)
+    np.testing.assert_allclose(recover(limited, scan(limited, cells).volts).resistance, cells, rtol=1e-9)
+
+
 @pytest.mark.parametrize("cell", [18523.900393732307, 1e4, 2.2e4])
 @pytest.mark.parametrize("offset", [1e-3, -1e-3, 1.7e-4])
 @pytest.mark.parametrize("drive", [1.0, -1.0])

@@ -68,7 +68,7 @@ def recover(
             readings, and narrows what cells at a limit and behind a break leave open of the others.
 
     Raises:
-        InputError: wrong shape, or NaN.
+        InputError: wrong shape, or NaN; or an accuracy or least_ohm out of range.
         SolverError: no cell resistances reproduce these readings, or the design does not determine the cells.
 
     """
@@ -80,8 +80,10 @@ class Recoverer:
 
     def __init__(self, design: Design, *, accuracy: float = 1e-11, least_ohm: float = 0.0) -> None:
         """As :func:`recover`."""
-        if not least_ohm >= 0:
+        if not 0 <= least_ohm < inf:
             raise InputError(f"least_ohm is {least_ohm}; expected ohm >= 0")
+        if not 0 < accuracy < 1:
+            raise InputError(f"accuracy is {accuracy}; expected a relative error between 0 and 1")
         self._design, self._board, self._accuracy = design, design.board, accuracy
         behind = _behind_fine_steps(design.board, accuracy)
         self._least_ohm = least_ohm
@@ -134,6 +136,8 @@ class Recoverer:
         top = bottom = np.zeros(volts.shape, dtype=np.bool_)
         if clipped is not None:
             at_limit = np.asarray(clipped, dtype=np.bool_)
+            if at_limit.shape != volts.shape:
+                raise InputError(f"clipped has shape {at_limit.shape}, expected {volts.shape} (rows, columns)")
             top = at_limit if adc is None else at_limit & (volts > sum(adc.range) / 2)
             bottom = at_limit if adc is None else at_limit & ~top
         low, high = board.supply
