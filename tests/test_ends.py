@@ -21,6 +21,7 @@ from ohmskin.circuits import (
     Reason,
     Status,
     adc_codes,
+    conditioning,
     ideal_volts,
     live_recovery,
     recover,
@@ -247,6 +248,16 @@ def test_the_cells_are_recovered_or_the_reason_is_given(kind: str) -> None:
     else:
         assert reading.valid.all()
         assert (right <= reading.uncertainty).all()
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS.keys() - DIODES - UNDETERMINED.keys()))
+def test_errors_of_readings_propagate_as_differences_say(kind: str) -> None:
+    design = designed(kind)
+    moved = np.repeat(CELLS[None], CELLS.size, axis=0)
+    moved.reshape(CELLS.size, -1)[np.diag_indices(CELLS.size)] *= 1.0 + 1e-6
+    apart = np.log(np.array([scan(design, cells).resistance for cells in (CELLS, *moved)]).reshape(-1, CELLS.size))
+    by_cell = (apart[1:] - apart[0]).T / 1e-6
+    np.testing.assert_allclose(conditioning(design, CELLS).inverse @ by_cell, np.eye(CELLS.size), atol=1e-3)
 
 
 def test_a_second_set_of_cells_gives_the_readings_of_a_weakly_driven_row() -> None:

@@ -62,15 +62,18 @@ def conditioning(design: Design, resistance: ArrayLike) -> Conditioning:
     cells = np.asarray(resistance, dtype=np.float64)
     left_out = np.isnan(cells)
     cells = design.resistance(np.where(left_out, inf, cells))
-    # A reading is the sum of a signal, which is proportional to the drive, and a rest from the reference and offsets.
     unlimited = design.replace(readout={"supply": (-inf, inf)})
-    board, other = unlimited.board, unlimited.replace(drive={"voltage": -design.drive.voltage}).board
+    board = unlimited.board
     transpose = board.transpose
     cells = transpose(cells)
     if (cells == 0.0).any():
         raise InputError("a shorted cell (0 ohm) has no relative error; leave it out as nan")
     found = board_sensitivity(board, cells)
-    signal = (found.volts - read_exactly(other, cells)[0].volts) / 2.0
+    if board.line_ends is not None:
+        signal = found.volts - board.level
+    else:  # the part of a reading that turns with the drive; the reference and offsets make the rest
+        other = unlimited.replace(drive={"voltage": -design.drive.voltage}).board
+        signal = (found.volts - read_exactly(other, cells)[0].volts) / 2.0
     live = np.isfinite(cells) & (signal != 0)
     slope = np.where(live, board.circuit.log_conductance_slope(board, signal), 0.0)
     some = live.ravel()
