@@ -2,7 +2,9 @@
 
 ``python tests/fault_frames.py --size 8`` prints one line per board and fault: the share of valid cells, the share that
 half an ADC step of each unlimited reading leaves known to a half (by differences of scans), and the longest and the
-median of the frames with the fault, in usual frames of the same board.
+median of the frames with the fault, in usual frames of the same board. Differences say 0 where others depend on a
+short whose logarithm they leave open, as on dividers that ground idle columns: readings bound the short itself, one of
+0.5 ohm to 7, for which the others move by 15 %.
 """
 
 from __future__ import annotations
