@@ -1,8 +1,7 @@
 """Live inversion: from readings to cells at the board's frame rate, with a bounded cost per frame.
 
-:mod:`._recover` inverts the circuit model to many digits, at any cost. A board that is read a thousand times a second
-needs less: its readings come in ADC steps, and hardly change from one frame to the next. A live recovery therefore
-keeps what depends on the cells but slowly. It evaluates the circuit model again only where the result would else be off
+Readings come in ADC steps, a thousand frames a second, and hardly change from one to the next. A live recovery keeps
+what depends on the cells but slowly. It evaluates the circuit model again only where the result would else be off
 by a share of the uncertainty, and a limited number of times in one frame. If the limit does not suffice, the cells that
 are not settled are not valid in this frame, and the next frame continues from there.
 """

@@ -20,7 +20,7 @@ class Status(IntEnum):
     SATURATED = 2
     """The output or the converter is at a limit; the resistance is unknown and NaN."""
     DISTURBED = 3
-    """The error bound :attr:`Recovery.uncertainty` exceeds 10,000 times the requested accuracy."""
+    """The error bound :attr:`Recovery.uncertainty` exceeds 10,000 times the requested accuracy; NaN where it is inf."""
     HIDDEN = 4
     """A fault of the design hides the cell from all readings; the resistance is NaN."""
 
@@ -36,8 +36,7 @@ class Recovery:
     uncertainty: FloatArray
     """Relative half-width of the interval of each cell's conductance.
 
-    ``resistance`` belongs to the middle of this interval. A value of 1 means that the cell may be open, and inf means
-    that nothing is known about the cell.
+    ``resistance`` belongs to the middle of this interval; inf means that nothing is known about the cell.
     """
     iterations: int
-    """number of model evaluations that led to the solution; 0 for the closed form"""
+    """evaluations of the model that led to the solution; 0 for the closed form"""
