@@ -32,6 +32,7 @@ from ohmskin.verification import Report, verify
 from ohmskin.verification._box import Corners
 from ohmskin.verification._dut import DesignUnderTest
 from ohmskin.verification._judging import worst_of
+from ohmskin.verification._montecarlo import Sampler
 from ohmskin.verification._outcome import Measurement
 from ohmskin.verification._readings import ReadingErrorTarget
 from ohmskin.verification._search import _Search
@@ -170,6 +171,24 @@ def test_the_derivatives_of_an_error_are_the_differences_of_its_values(target: R
         found, expected = target.gradient(box, point), (ends[0] - ends[1]) / 2e-3
         assert found is not None
         np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("seed", [1, 3, 4])
+def test_a_random_board_is_judged_by_presses_that_are_bad_for_it(seed: int) -> None:
+    """Beside the worst of all cells, signs and presses; those that hurt a board with nominal parts need not hurt it."""
+    target, random = ReadingError(), np.random.default_rng(seed)
+    worst = worst_of(DesignUnderTest(random_board(seed, largest=3)), target)
+    box, parts = worst.box, len(worst.box.factors)
+    boards = random.uniform(-1.0, 1.0, (3, parts + box.cells))
+    presses = np.array(list(product((-1.0, 1.0), repeat=box.cells)))
+    row, column, sign = (index.ravel() for index in np.meshgrid(*(range(n) for n in box.shape), (-1.0, 1.0)))
+    judged = Sampler.of(worst).judged(boards)
+    for board, value in zip(boards, judged.tolist(), strict=True):
+        own = (np.broadcast_to(part, (len(presses), part.size)) for part in (board[:parts], board[parts:]))
+        x = np.repeat(np.insert(np.concatenate(list(own), axis=1), [parts], presses, axis=1), len(row), axis=0)
+        every = Corners(*(np.tile(index, len(presses)) for index in (row, column)), np.tile(sign, len(presses)), x)
+        most = float(target.evaluate(box, every).max())
+        assert 0.8 * most <= value <= most * (1.0 + 1e-9)
 
 
 def test_a_move_of_a_line_takes_its_presses_to_one_end() -> None:

@@ -2,7 +2,8 @@
 
 Each board is judged as the worst-case search judges its corners, by the same target, over all cells that the search
 covers. The derivatives that name the search's corners rank every cell, sign and press pattern for each board; those
-that promise most are solved, until none that is left promises more than what was found.
+that promise most are solved, until none that is left promises more than what was found. Which press hurts depends on
+the board's own parts: from the worst one presses are changed, alone or as whole lines, while that makes it worse.
 
 The boards are drawn in blocks of :data:`BLOCK`. Each block has a random stream of its own, made of the seed and the
 block's number, and is computed in one piece. The samples are therefore the same, bit for bit, whatever the number of
@@ -22,7 +23,7 @@ from scipy.stats import binomtest
 from ..common.arrays import FloatArray, IntArray
 from ._box import Box, Corners
 from ._readings import ReadingTarget, named_corners
-from ._search import Target, WorstCase
+from ._search import Target, WorstCase, with_worse_presses
 from ._tuning import BLOCK, FEW, MOST_BOARDS, MOST_TRIES, ROOM, WORK
 
 CONFIDENCE = 0.95
@@ -97,7 +98,7 @@ class Sampler:
     def judged(self, boards: FloatArray) -> FloatArray:
         """As :meth:`block`, of boards with factors and deviations of cells (S, F + cells)."""
         own = np.tile(np.arange(len(self.found)), (len(boards), 1))
-        best: FloatArray = self._solved(boards, self.found, own).max(axis=1)
+        worst, best = self._solved(boards, self.found, own)
         promised = self.fixed + boards @ self.slopes.T
         count = min(FEW * MOST_TRIES, promised.shape[1])
         order = np.argsort(-promised, axis=1, kind="stable")[:, :count]
@@ -109,18 +110,24 @@ class Sampler:
             active = np.flatnonzero(open_ones & ((next_value > worth) | (first == 0)))
             if not len(active):
                 break
-            solved = self._solved(boards[active], self.named, chosen[active])
-            best[active] = np.maximum(best[active], solved.max(axis=1))
+            solved, values = self._solved(boards[active], self.named, chosen[active])
+            higher = values > best[active]
+            which = np.arange(len(boards))
+            which[active[higher]] = len(boards) + np.flatnonzero(higher)
+            worst = Corners.joined([worst, solved]).some(which)
+            best[active] = np.maximum(best[active], values)
+        best = with_worse_presses(self.target, self.box, worst, best)
         return np.where(best > -inf, best, inf)  # a board of which nothing can be said has failed
 
-    def _solved(self, boards: FloatArray, corners: Corners, chosen: IntArray) -> FloatArray:
-        """(S, T) the target of each board at T of the corners' cells and presses."""
+    def _solved(self, boards: FloatArray, corners: Corners, chosen: IntArray) -> tuple[Corners, FloatArray]:
+        """The worst (S,) of T of the corners' cells and presses, chosen (S, T) for each board; and their values."""
         parts, cells = len(self.box.factors), self.box.cells
-        which = chosen.ravel()
-        some = corners.some(which)
+        some = corners.some(chosen.ravel())
         own = np.repeat(boards, chosen.shape[1], axis=0)
         x = np.concatenate([own[:, :parts], some.x[:, parts : parts + cells], own[:, parts:]], axis=1)
-        return self.target.evaluate(self.box, some.at(x)).reshape(chosen.shape)
+        values = self.target.evaluate(self.box, some.at(x)).reshape(chosen.shape)
+        top = np.arange(len(boards)) * chosen.shape[1] + values.argmax(axis=1)
+        return some.at(x).some(top), values.max(axis=1)
 
 
 def proportion_bounds(kept: int, count: int) -> tuple[float, float]:

@@ -25,7 +25,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -54,6 +54,9 @@ from ._tuning import (
 def most_solved(shape: tuple[int, int]) -> int:
     """Cells whose corners are solved: all up to 16 x 16, fewer of larger arrays, but at least :data:`LEAST_SOLVED`."""
     return max(LEAST_SOLVED, MOST_UNKNOWNS // (shape[0] * shape[1]))
+
+
+Moves = Literal["flips", "slopes", "lines"]
 
 
 class Target(ABC):
@@ -236,6 +239,18 @@ def worst_case(target: Target, box: Box, starts: Sequence[Corners] = ()) -> Wors
     return search.finished()
 
 
+def with_worse_presses(target: Target, box: Box, corners: Corners, values: FloatArray) -> FloatArray:
+    """The values (C,) at some boards, after presses are changed as long as that makes them larger.
+
+    Presses change alone, or of arrays where that would take more than :data:`WORK` as whole lines.
+    """
+    presses = np.zeros(box.size, dtype=np.bool_)
+    presses[len(box.factors) : len(box.factors) + box.cells] = True
+    search = _Search(target, box, presses)
+    alone = len(corners) * box.cells * target.cost(box) <= WORK
+    return search.climb(corners, values, "flips" if alone else "lines").values
+
+
 class _Search:
     """Corners that were solved so far, with their values."""
 
@@ -353,14 +368,14 @@ class _Search:
         """All corners improved: by derivatives first on larger arrays."""
         values = self.evaluate(corners)
         if self.exact and (self.box.cells <= FIRST_ORDER_BEYOND or not self.target.by_cell):
-            return self._climb(corners, values, exact=True)
-        found = self._climb(corners, values, exact=False)
+            return self.climb(corners, values, "flips")
+        found = self.climb(corners, values, "slopes")
         if not self.exact:
             return found
         best = np.argsort(-found.values, kind="stable")[:1]
-        return self._climb(found.corners.some(best), found.values[best], exact=True)
+        return self.climb(found.corners.some(best), found.values[best], "flips")
 
-    def _climb(self, corners: Corners, values: FloatArray, *, exact: bool) -> _Climbed:
+    def climb(self, corners: Corners, values: FloatArray, moves: Moves) -> _Climbed:
         """Make the moves that raise the value, for all corners side by side, until none does."""
         corners, values = replace(corners, x=corners.x.copy()), values.copy()
         settled = ~np.isfinite(values)
@@ -369,15 +384,15 @@ class _Search:
             if not len(active):
                 break
             for some in np.array_split(active, min(-(-len(active) * self.box.size**2 // (1 << 22)), len(active))):
-                trial, best = self._moved_together(corners.some(some), values[some], exact=exact)
+                trial, best = self._moved_together(corners.some(some), values[some], moves)
                 better = best > values[some] + ROUNDING * np.abs(values[some])
                 corners.x[some[better]], values[some[better]] = trial[better], best[better]
                 settled[some] = ~better | np.isinf(best)
         return _Climbed(corners, values, settled)
 
-    def _moved_together(self, corners: Corners, values: FloatArray, *, exact: bool) -> tuple[FloatArray, FloatArray]:
+    def _moved_together(self, corners: Corners, values: FloatArray, kind: Moves) -> tuple[FloatArray, FloatArray]:
         """The best of each corner with its 1, 2, 4, ... most promising moves; coordinates (C, D) and values (C,)."""
-        row, moves, gains = self._gains(corners, values, exact=exact)
+        row, moves, gains = self._gains(corners, values, kind)
         helpful = gains > ROUNDING * np.abs(values[row])
         owner, trials = [], []
         for number, corner in enumerate(corners.x):
@@ -396,22 +411,23 @@ class _Search:
                     found_x[number], found[number] = x, value
         return found_x, found
 
-    def _gains(self, corners: Corners, values: FloatArray, *, exact: bool) -> tuple[IntArray, IntArray, FloatArray]:
+    def _gains(self, corners: Corners, values: FloatArray, kind: Moves) -> tuple[IntArray, IntArray, FloatArray]:
         """What moves would add: the corner (K,) that each belongs to, the move (K,), and its gain (K,).
 
-        Either every flip is solved, or flips are taken from derivatives; of targets without these, flips near the worst
-        cell and whole lines are solved.
+        Either every flip is solved, or flips are taken from derivatives, or whole lines are solved; of targets without
+        derivatives, lines and flips near the worst cell are.
         """
         each, free, size = np.arange(len(corners)), np.flatnonzero(self.free), self.box.size
         row, moves = np.repeat(each, len(free)), np.tile(free, len(each))
-        if not exact:
-            found = (self.target.gradient(self.box, corners.some(each[[n]])) for n in each)
+        if kind != "flips":
+            found = (self.target.gradient(self.box, corners.some(each[[n]])) for n in each) if kind == "slopes" else ()
             slopes = [slope for slope in found if slope is not None]
             if slopes:
                 return row, moves, (np.stack(slopes) * (np.where(corners.x > 0, -1.0, 1.0) - corners.x))[row, moves]
-            lines = np.arange(size, size + 2 * len(self.lines))
-            near = [np.append(np.flatnonzero(self.near(corners.some(each[[n]]))), lines) for n in each]
-            row, moves = np.repeat(each, [len(some) for some in near]), np.concatenate(near)
+            some = [np.arange(size, size + 2 * len(self.lines))] * len(each)
+            if kind == "slopes":
+                some = [np.append(np.flatnonzero(self.near(corners.some(each[[n]]))), some[n]) for n in each]
+            row, moves = np.repeat(each, [len(one) for one in some]), np.concatenate(some)
         here = corners.some(row)
         return row, moves, self.evaluate(replace(here, x=self._after(here.x, moves, here.x))) - values[row]
 
@@ -450,7 +466,7 @@ class _Search:
                 if not rises:
                     break
                 corner, value = corner.at(x[None]), best
-                again = self._climb(corner, np.array([value]), exact=self.exact)
+                again = self.climb(corner, np.array([value]), "flips" if self.exact else "slopes")
                 corner, value = again.corners, float(again.values[0])
             parts.append(corner)
             values[number] = value
