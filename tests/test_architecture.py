@@ -111,6 +111,17 @@ def test_modules_import_the_interfaces_of_sub_packages() -> None:
     assert interfaces > 9
 
 
+def test_a_tuned_number_says_its_unit_and_what_sets_it() -> None:
+    tables = [file for package in MAY_IMPORT for file in (ROOT / package).rglob("_tuning.py")]
+    assert len(tables) > 7
+    for file in tables:
+        body = ast.parse(file.read_text()).body
+        for one, after in zip(body, [*body[1:], None], strict=True):
+            if isinstance(one, ast.Assign | ast.AnnAssign):
+                says = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+                assert says, f"{file.relative_to(ROOT)}:{one.lineno} says nothing of its number"
+
+
 def test_only_one_module_imports_pyspice() -> None:
     """PySpice is under the GPL."""
     users = {

@@ -33,15 +33,8 @@ from .._board import Board
 from .._parts import LEAST_SHORT_OHM
 from ..readouts import PortLaw
 from ._known_board import KnownBoard
-from ._law_kernels import LEAST, answers
-
-MOST_WIRE = 2.0
-"""resistance of a cell's lines over its own from which on it reads like a short"""
-_STANDS_OUT = 10.0  # port conductance over the usual one of its column, from which on a short may be behind it
-_FEW = 3  # rows, below which the usual one is that of all cells
-_CONTACT = 0.01  # ohm, of a cell of which nothing is declared: contacts of metals have as much
-ONE = 3.0
-"""largest over least conductance of all answers, up to which they are one within their errors"""
+from ._law_kernels import answers
+from ._tuning import CONTACT_OHM, FEW_ROWS, LEAST, ONE, STANDS_OUT
 
 
 def several_answers(board: Board) -> bool:
@@ -88,7 +81,7 @@ class Answers:
         out = 1.0 / (self._beyond + LEAST_SHORT_OHM)
         self._out = out.sum() - out
         self._column_most = self._out + (0.0 if board.floating else (1.0 / (self._lead + LEAST_SHORT_OHM)).sum())
-        self._least_ohm = max(least_ohm, _CONTACT)
+        self._least_ohm = max(least_ohm, CONTACT_OHM)
         at_end = board.circuit.port_law(replace(board, floating=False), np.zeros(len(wire)))
         assert at_end is not None
         self._stands = at_end.potential - idle * at_end.current  # V and V/V, above an idle end of the same current
@@ -120,10 +113,10 @@ class Answers:
         own, share = ((part[0] + part[1] * volts) / drives for part in (law.current, law.potential))
         driven = own + share * own.sum(axis=0) / np.maximum(1.0 - share.sum(axis=0), LEAST)
         # Shorts of one row hide each other's currents, and show by what their columns' other cells conduct.
-        few = rows < _FEW  # tell nothing of what is usual in their column
+        few = rows < FEW_ROWS  # tell nothing of what is usual in their column
         usual = np.sort(driven.reshape(-1, 1) if few else driven, axis=0)
         low = limited | (driven * (self._least_ohm + self._lead[:, None]) >= 1.0)
-        low |= driven > _STANDS_OUT * np.maximum(usual[(len(usual) - 1) // 2], 0.0)
+        low |= driven > STANDS_OUT * np.maximum(usual[(len(usual) - 1) // 2], 0.0)
         most = np.where(low, 1.0 / LEAST_SHORT_OHM, 1.0 / self._least_ohm)
         column_most = np.minimum(self._column_most, most.sum(axis=0))
         beyond = most / (1.0 + most * self._beyond)

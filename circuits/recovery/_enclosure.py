@@ -24,16 +24,20 @@ from ...common.compiled import Blocks, FlagRows, Record, Records, Row, Rows, loo
 from .._board import Board, broken_off
 from .._parts import LEAST_SHORT_OHM
 from ._law import Law
-from ._law_kernels import LEAST, OPEN_ROW, OPEN_SCALE, TINY
-
-_MARGIN = 1.2  # for segments, and for what is beyond the first order
-_UNCLEAR = 0.1  # relative error from which on a cell's own error counts in other columns
-_TIED = 0.01  # share of a row's drive from which on a cell ties its column to the row
-_UNUSUAL = 30.0  # largest ratio of a cell beside a short to the best conducting one, behind amplifiers
-_ROUNDS = 12  # to the bounds of cells along a column; more of them change none by a tenth
-_MOST = 1e6  # relative change that stands for any larger one
-_CORRECTED = 3.0  # most by which a cell beyond the law's counts
-_LEAST_LEFT = 1e-9  # of a row's drive
+from ._law_kernels import TINY
+from ._tuning import (
+    COLUMN_ROUNDS,
+    ENCLOSURE_MARGIN,
+    LEAST,
+    LEAST_DRIVE_LEFT,
+    MOST_CHANGE,
+    MOST_CORRECTED,
+    OPEN_ROW,
+    OPEN_SCALE,
+    TIES_ROW,
+    UNCLEAR,
+    UNUSUAL,
+)
 
 
 class Ways(Record):
@@ -105,7 +109,7 @@ def product(low: float, high: float, least: float, most: float) -> tuple[float, 
 @loop
 def usual_conductance(by_law: Rows, estimate: Rows, above: Rows, under_range: FlagRows, i: int, j: int) -> float:
     """S that cell (i, j) conducts, or conducts at most."""
-    usual: float = above[i, j] if under_range[i, j] else max(min(by_law[i, j], _CORRECTED * estimate[i, j]), 0.0)
+    usual: float = above[i, j] if under_range[i, j] else max(min(by_law[i, j], MOST_CORRECTED * estimate[i, j]), 0.0)
     return usual
 
 
@@ -143,7 +147,7 @@ def along_column(
     for i in range(rows):
         some = some or limited[i, j]
         most[i, j] = short[i, j]
-    for _ in range(_ROUNDS if some else 0):
+    for _ in range(COLUMN_ROUNDS if some else 0):
         away[last, j] = 0.0
         for number in range(rows - 1):
             i = last - one * number
@@ -258,7 +262,7 @@ def enclose(
             if surely > LEAST:
                 # An offset that drives a current through a short is not cancelled by as large cells.
                 if board.cancels > 0.0 and usual > 0.0:
-                    short = min(short, _UNUSUAL * usual)
+                    short = min(short, UNUSUAL * usual)
                 bound = min(bound, (short - apart[i, j]) / surely)
             per_sum[i, j] = abs(share[i, j])
             added[i, j] = off
@@ -328,7 +332,7 @@ def enclose(
                     into_end = into_end * (1.0 + potential[i, j] / full) + fed
                 more[i, j] = max(into_end - apart[i, j] * (abs(drives[i, j]) / full), 0.0)
         for j in range(columns):
-            row[i, j] = min(max(1.0 - lost_along(shared, ordinary, i, j), _LEAST_LEFT), 1.0)
+            row[i, j] = min(max(1.0 - lost_along(shared, ordinary, i, j), LEAST_DRIVE_LEFT), 1.0)
         for j in range(columns):
             slack = of_cells[TO_DRIVER, i, j] * of_sums[i] if row_open[i] > OPEN_ROW else 0.0
             lowest = row[i, j] - lost_along(shared, more, i, j)
@@ -421,7 +425,7 @@ def enclose(
                 if math.isinf(up) or math.isnan(highest) or math.isnan(lowest):
                     changed = math.inf
             changed = math.inf if math.isnan(changed) else max(changed, 0.0)
-            change[i, j] = _MARGIN * changed * max(abs(by_law[i, j]) / max(estimate[i, j], TINY), 1.0)
+            change[i, j] = ENCLOSURE_MARGIN * changed * max(abs(by_law[i, j]) / max(estimate[i, j], TINY), 1.0)
             least[i, j] = max(below[i, j] - less_here, 0.0) if limited[i, j] else 0.0
             greatest[i, j] = math.inf
             if under_range[i, j] and low[i, j] > 0.0:
@@ -497,7 +501,7 @@ def added_between(
             else:
                 share[i, j] = min(of_cells[TO_DRIVER, i, j] * max(driven[i, j], 0.0), 1.0)
                 width, loose[i, j] = above[i, j] - below[i, j], 0.0
-                if width > _LEAST_LEFT * abs(above[i, j]) and of_cells[TO_DRIVER, i, j] > 0.0:
+                if width > LEAST_DRIVE_LEFT * abs(above[i, j]) and of_cells[TO_DRIVER, i, j] > 0.0:
                     loose[i, j] = min(of_cells[TO_DRIVER, i, j] * width, 1.0)
             # V, of the column in its cell's own step, in which an output at a limit does not hold it.
             in_own_step[i, j] = 0.0
@@ -506,16 +510,16 @@ def added_between(
             elif under_range[i, j]:
                 in_own_step[i, j] = of_cells[ADRIFT, i, j]
             own_steps = own_steps or in_own_step[i, j] > 0.0
-            doubt = doubt or linear[i, j] > _UNCLEAR
-            if unknown and loose[i, j] > _TIED:
+            doubt = doubt or linear[i, j] > UNCLEAR
+            if unknown and loose[i, j] > TIES_ROW:
                 tied += 1
             # A row that floats drives its cells by what it stands above their columns; else they say nothing.
             stands = low[i, j] - (potential[i, j] / abs(drives[i, j]) if floating else 0.0)
             if not limited[i, j] and stands > 0.0:  # what little is left of the drive hides what its reading errs by
                 hidden = of_driven[i, j] * max(1.0 / stands - 1.0 / row[i, j], 0.0)
-                conducting[i, j] = min(conducting[i, j] * row[i, j] / stands + hidden, _MOST)
+                conducting[i, j] = min(conducting[i, j] * row[i, j] / stands + hidden, MOST_CHANGE)
             elif not limited[i, j] and (some or conducting[i, j] > 0.0):
-                conducting[i, j] = _MOST
+                conducting[i, j] = MOST_CHANGE
             loose_sum[i] += loose[i, j]
             share_sum[i] += share[i, j]
             conducting_sum[i] += conducting[i, j]
@@ -553,8 +557,10 @@ def added_between(
                 added[step, j] += change[step, i] * conducting[i, j] + out[step, i] * loose[i, j]
                 along[step, j] += raised[step, i] * conducting[i, j] + passed_on[step, i] * loose[i, j]
                 added[step, j] += potential[step, j] * by_row
-                if doubt and linear[i, j] > _UNCLEAR and not limited[i, j]:
-                    unsure = min(linear[i, j], _MOST) * usual_conductance(by_law, estimate, above, under_range, i, j)
+                if doubt and linear[i, j] > UNCLEAR and not limited[i, j]:
+                    unsure = min(linear[i, j], MOST_CHANGE) * usual_conductance(
+                        by_law, estimate, above, under_range, i, j
+                    )
                     added[step, j] += (lifted[step, i] + potential[step, j] * share_sum[i]) * unsure
         for j in range(columns):
             if floating:  # a cell at a limit lets its column's potential out by its row's pull-down
@@ -565,8 +571,8 @@ def added_between(
             for k in range(columns):
                 joined = False
                 for i in range(rows):
-                    here = (limited[i, j] or under_range[i, j]) and loose[i, j] > _TIED
-                    there = (limited[i, k] or under_range[i, k]) and loose[i, k] > _TIED
+                    here = (limited[i, j] or under_range[i, j]) and loose[i, j] > TIES_ROW
+                    there = (limited[i, k] or under_range[i, k]) and loose[i, k] > TIES_ROW
                     joined = joined or (here and there and j != k)
                 if not joined:
                     continue

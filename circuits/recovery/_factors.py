@@ -23,16 +23,9 @@ import numpy as np
 from ...common.arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from ._law import Law
-from ._law_kernels import OPEN, couple, move
+from ._law_kernels import couple, move
+from ._tuning import EXPONENTS, FIRST_EVALUATIONS, FRESH, LEAST_FACTOR, MOST_FACTOR, OPEN, REGULAR, ROUGHLY, STRIDE
 
-EVALUATIONS, FIRST_EVALUATIONS = 4, 30
-"""of the full model in one frame, and in the first one of all"""
-FRESH = 0.2  # share of an uncertainty that a factor may be off by
-_ROUGHLY = 0.5  # share of the law's error that a cell may be off by which is not valid and only loads others
-_LEAST_FACTOR, _MOST_FACTOR = 0.2, 5.0  # beyond, a difference takes the place of the factor
-_STRIDE = 1.0  # of the logarithm of a cell that is not valid, half of which a step takes
-_EXPONENTS = -40.0, 7.0  # range of the logarithms of conductances
-_REGULAR = 1e-12
 _TINY = np.finfo(np.float64).tiny
 
 
@@ -120,14 +113,14 @@ class Factors:
             log = np.log(cells)
             step = np.log(np.maximum(new, 1e-3 * cells)) - log
             further = accelerated(log, step, before, matters)
-            left = np.maximum(left, np.abs(np.expm1(np.clip(further - step, -_STRIDE, _STRIDE))))
-            loads = change > _ROUGHLY * np.minimum(error, 1.0) * np.maximum(np.abs(by_law), cells)
+            left = np.maximum(left, np.abs(np.expm1(np.clip(further - step, -STRIDE, STRIDE))))
+            loads = change > ROUGHLY * np.minimum(error, 1.0) * np.maximum(np.abs(by_law), cells)
             if not (counted & np.where(matters, left > FRESH * allowed, loads)).any():
                 self._astray = not matters.any()
                 return new, left, True
-            further = np.where(matters, further, 0.5 * np.clip(step, -_STRIDE, _STRIDE))
+            further = np.where(matters, further, 0.5 * np.clip(step, -STRIDE, STRIDE))
             before.append((log, step))
-            cells = np.where(counted, np.exp(np.clip(log + further, *_EXPONENTS)), new)
+            cells = np.where(counted, np.exp(np.clip(log + further, *EXPONENTS)), new)
         self._astray = True
         return cells, np.full(cells.shape, inf), False
 
@@ -135,7 +128,7 @@ class Factors:
         """Make the factors at ``cells``, of which the law makes ``again`` in the model; the corrected cells."""
         kept = self.kept
         ratio = cells / np.where(again > 0.0, again, inf)
-        usual = (ratio > _LEAST_FACTOR) & (ratio < _MOST_FACTOR) & (by_law > 0.0)
+        usual = (ratio > LEAST_FACTOR) & (ratio < MOST_FACTOR) & (by_law > 0.0)
         kept.rho[...], kept.added[...] = np.where(usual, ratio, 1.0), np.where(usual, 0.0, cells - again)
         # What adds is as steep as a factor, if there is one, else as beside other cells.
         kept.base[...] = cells
@@ -161,7 +154,7 @@ def accelerated(
     changes = [step - old for _, old in recent]
     weighted = np.array([np.where(counted, change, 0.0).ravel() for change in changes])
     square = weighted @ weighted.T
-    square.flat[:: len(square) + 1] += _REGULAR * np.trace(square) + _TINY
+    square.flat[:: len(square) + 1] += REGULAR * np.trace(square) + _TINY
     try:
         shares = np.clip(np.linalg.solve(square, weighted @ step.ravel()), -10.0, 10.0)
     except np.linalg.LinAlgError:

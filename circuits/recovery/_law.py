@@ -28,7 +28,8 @@ import numpy as np
 from ...common.arrays import BoolArray, FloatArray
 from .._parts import LEAST_SHORT_OHM
 from ..readouts import PortLaw
-from ._law_kernels import LEAST, columns_of, rows_of
+from ._law_kernels import columns_of, rows_of
+from ._tuning import LEAST
 
 
 class Law:

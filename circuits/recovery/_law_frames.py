@@ -17,34 +17,19 @@ from ...common.compiled import Blocks, FlagRows, Reasons, Records, Row, Rows, lo
 from ...common.config import MOST_SI
 from ...common.measurement import FIELDS, GREATEST, LEAST, Measurement
 from ...common.noise import constant_part, select
-from ._answers import MOST_WIRE, ONE
 from ._enclosure import Enclosure, Ways, enclose, work_for
-from ._factors import FRESH, Kept
+from ._factors import Kept
 from ._law import Law
-from ._law_kernels import (
-    BY_NOISE,
-    BY_STEPS,
-    OPEN,
-    OPEN_SCALE,
-    columns_of,
-    couple,
-    errors_of,
-    move,
-    relative_to,
-    rows_of,
-)
-from ._live_reading import DISTURBED, NO_CURRENT, SATURATED, SIGMAS, UNCERTAIN, UNSETTLED, Readings
+from ._law_kernels import columns_of, couple, errors_of, move, relative_to, rows_of
+from ._live_reading import DISTURBED, NO_CURRENT, SATURATED, UNCERTAIN, UNSETTLED, Readings
 from ._measured import Constants, state_one
+from ._tuning import BEYOND, BY_NOISE, BY_STEPS, DOMINATED, FRESH, MOST_WIRE, ONE, ONE_WITHIN, OPEN, OPEN_SCALE, SIGMAS
 
-BEYOND = 3.0
-"""errors by which a column may seem to leave less than nothing of its drive"""
 ROOT_3 = math.sqrt(3.0)
 MEASURED, IMPOSSIBLE, STALE, LOOSE = range(4)
 """what came of a frame: a measurement; readings that no cells give; factors that no longer hold; or cells that the
 bounds beside unknown ones leave open, and of which derivatives of all readings may know more
 """
-_WITHIN = 0.1  # relative change of a cell within the error in which all answers lie, up to which they are one
-_DOMINATED = 0.1  # share of the drive at a column over the largest one, up to which a cell is small beside another
 
 SHORTS, SEGMENTS, BESIDE_END, WIRES, WHOLE_WIRES, SHUNT, SERIES = range(7)
 RHO, ADDED, BASE, FACTOR_BEYOND, FOUND, LEFT, HIDDEN, LOW, HIGH, BY_ENDS = range(7, 17)
@@ -262,7 +247,7 @@ def measure_by_law(
             stated, lower, upper = uncertainty[i, j] + others[i, j], work[LOWER, i, j], work[UPPER, i, j]
             if board.several > 0.0:
                 low, high, middle_one = of_cells[LOW, i, j], of_cells[HIGH, i, j], by_law[i, j]
-                if not uncertainty[i, j] * of_cells[BY_ENDS, i, j] <= _WITHIN:
+                if not uncertainty[i, j] * of_cells[BY_ENDS, i, j] <= ONE_WITHIN:
                     stated = max(stated, max(high - middle_one, middle_one - low) / abs(middle_one))
                     stated = stated if high <= ONE * low else math.inf
                 lower, upper = max(lower, low), min(upper, high)
@@ -447,4 +432,4 @@ class LawFrames:
         if share.shape[0] == 1:
             return True
         among = np.partition(share[:, self._in_columns[COLUMN_OPEN] > OPEN_SCALE], -2, axis=0)
-        return bool((among[-2] <= _DOMINATED * among[-1]).all())
+        return bool((among[-2] <= DOMINATED * among[-1]).all())

@@ -8,26 +8,9 @@ from __future__ import annotations
 import math
 
 from ...common.compiled import FlagRows, Row, Rows, loop
+from ._tuning import LARGEST_LOG, LEAST, NARROWED, NARROWING_ROUNDS, OPEN, OPEN_ROW, OPEN_SCALE
 
-LEAST = 1e-12
-"""share of a voltage that counts as none"""
-OPEN_SCALE, OPEN_ROW = 0.7, 0.3
-"""error of what is left of a column's drive or of a row's, relative to it, from which on its scale is open"""
-OPEN = 1e-14
-"""S, of an open cell in the model"""
-ALIKE = 2.0
-"""by how much rounding of equal readings exceeds independent errors in the sum of a column: measured where cells at
-rest are alike; 1.8 in a pressed column of equal cells
-"""
-BY_STEPS, BY_NOISE = 4.5, 3.5
-"""standard deviations of other readings' steps and noise that are covered"""
-LARGEST = 50.0
-"""logarithm that is as good as infinite"""
 TINY = 2.3e-308
-ROUNDS = 40
-"""of narrowing bounds on all answers"""
-SETTLED = 1e-3
-"""largest relative change of a bound in the last round"""
 
 
 @loop
@@ -290,7 +273,7 @@ def relative_to(
         for j in range(columns):
             uncertainty[i, j] = math.inf
             if cells[i, j] > 0.0 and column_open[j] + row_open[i] < OPEN_SCALE:
-                beyond = math.expm1(min(linear[i, j] - own[i, j], LARGEST))
+                beyond = math.expm1(min(linear[i, j] - own[i, j], LARGEST_LOG))
                 uncertainty[i, j] = (own[i, j] + beyond) * max(abs(by_law[i, j]) / cells[i, j], 1.0)
 
 
@@ -438,7 +421,7 @@ def answers(
             left = 1.0 - lead[i] * low[i, j]
             passed = 1.0 - lead[i] * (sums[2, i] - low[i, j]) / left if left > LEAST else 0.0
             sums[1, j] += low[i, j] * (1.0 / max(passed, LEAST) - 1.0)
-    for _ in range(ROUNDS):
+    for _ in range(NARROWING_ROUNDS):
         moved = 0.0
         for i in range(rows):
             sums[2, i], sums[3, i] = 0.0, 0.0
@@ -539,7 +522,7 @@ def answers(
                 if highest < above[i, j] and not unknown[i, j]:
                     moved = max(moved, 1.0 - max(highest, 0.0) / above[i, j])
                     above[i, j] = max(highest, below[i, j])
-        if moved < SETTLED:
+        if moved < NARROWED:
             break
     for i in range(rows):
         least, most, whole = 0.0, 0.0, 1.0

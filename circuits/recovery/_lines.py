@@ -21,10 +21,7 @@ import numpy as np
 
 from ...common.arrays import FloatArray
 from .._board import Board
-
-_SWEEPS = 4
-_SMALL = 144  # cells up to which the dense system is solved: beyond, a nested dissection is quicker
-_MOST_LOST = 1e6  # voltage along a line over that across a cell, up to which rounding leaves ten digits
+from ._tuning import MOST_LOST, SMALL_DENSE, SWEEPS
 
 
 class LineResistance:
@@ -66,7 +63,9 @@ class LineResistance:
 
     def can_solve(self, conductance: FloatArray) -> bool:
         """Whether :meth:`drops` and :meth:`ports` serve, at cells (N, M) in S."""
-        return self.finite and conductance.size <= _SMALL and float((self.to_ends * conductance).max()) <= _MOST_LOST
+        return (
+            self.finite and conductance.size <= SMALL_DENSE and float((self.to_ends * conductance).max()) <= MOST_LOST
+        )
 
     def drops(self, conductance: FloatArray) -> FloatArray:
         """As :func:`.basis_drops`, for crosspoints (N, M) in S."""
@@ -98,7 +97,7 @@ class LineResistance:
         at_rows[np.arange(rows), np.arange(rows)] = 1.0
         at_columns[rows + np.arange(columns), :, np.arange(columns)] = 1.0
         drops: FloatArray = at_rows - at_columns
-        for _ in range(_SWEEPS):
+        for _ in range(SWEEPS):
             current = conductance * drops
             along = np.einsum("fij,ijk->fik", current, self.row, optimize=True)
             down = np.einsum("fij,jik->fkj", current, self.column, optimize=True)

@@ -16,8 +16,7 @@ from ._known_board import KnownBoard
 from ._live_fit import FitLive
 from ._live_law import LawLive
 from ._live_reading import LiveRecovery, ValidityRule
-
-_SPARE = 10.0  # lowest resistance within the range of loads over the least of any cell: overloads, cells that differ
+from ._tuning import RANGE_SPARE
 
 
 def live_recovery(design: Design, *, accuracy: float | None = None, lowest_ohm: float | None = None) -> LiveRecovery:
@@ -28,7 +27,7 @@ def live_recovery(design: Design, *, accuracy: float | None = None, lowest_ohm: 
     Args:
         design: the board.
         accuracy: relative uncertainty of a conductance up to which a cell is valid; None:
-            :data:`._live_reading.ACCURACY`.
+            :data:`._tuning.ACCURACY`.
         lowest_ohm: the lowest resistance in the cells' range of loads; None: that of ``[cells]``, if the design has
             it. Where readings may have several answers, those with cells below a tenth of it do not count.
 
@@ -41,7 +40,7 @@ def live_recovery(design: Design, *, accuracy: float | None = None, lowest_ohm: 
         raise InputError("the design has no [adc] section; expected bits and range")
     if lowest_ohm is None and design.cells is not None:
         lowest_ohm = min(design.cells.rest_resistance, design.cells.full_scale_resistance)
-    least = 0.0 if lowest_ohm is None else lowest_ohm / _SPARE
+    least = 0.0 if lowest_ohm is None else lowest_ohm / RANGE_SPARE
     return live_inverse(KnownBoard(design.board), ValidityRule.of(accuracy), least)
 
 

@@ -36,70 +36,63 @@ from .._grid import exact_ports
 from .._parts import LEAST_SHORT_OHM
 from ._answers import several_answers
 from ._known_board import KnownBoard
-from ._law_kernels import ALIKE, BY_STEPS, TINY
-from ._live_reading import (
-    DISTURBED,
-    HIDDEN,
-    NO_CURRENT,
-    SATURATED,
-    SIGMAS,
-    UNSETTLED,
-    Readings,
-    ValidityRule,
-)
+from ._law_kernels import TINY
+from ._live_reading import DISTURBED, HIDDEN, NO_CURRENT, SATURATED, UNSETTLED, Readings, ValidityRule
 from ._measured import constants_of
 from ._node_blocks import WITHIN, NodeBlocks
 from ._sheet_model import SheetModel
-from ._usual_fits import (
+from ._tuning import (
+    ALIKE,
+    ALIKE_ERRORS,
+    BESIDE_SLOW,
+    BESIDE_STEP,
+    BESIDE_STEPS,
+    BY_STEPS,
+    CALM,
+    CONTRACTS,
+    FIRST_RENEWALS,
+    FIRST_STEPS,
+    FIT_STEPS,
+    FITS,
+    JUMP,
     LARGE,
+    LARGEST_MATRIX,
+    LEAST_BEHIND,
+    LEAST_CELL,
+    LEAST_READING,
+    LONGER,
+    MISFIT,
+    MORE_DAMPING,
+    MOST_AXES,
+    MOST_BESIDE,
+    MOST_DAMPING,
+    MOST_TIED,
+    MOST_UNREAD,
+    NEAR,
     NO_FIT,
+    OFTEN,
+    PATH_POINTS,
+    PROGRESS,
+    RENEWALS,
     SETTLED,
+    SHARE_BESIDE,
     SHORT_SHARE,
-    UsualFits,
-    changes_of,
-    hold_lines,
-    moved_by,
-    shares_of,
-    state_fitted,
+    SHORT_SIEMENS,
+    SHORTER,
+    SIGMAS,
+    SLOW,
+    SLOWEST,
+    SMALL_MATRIX,
+    STUCK,
+    SWING,
+    TIE,
+    TIES_LINES,
+    TYPICAL,
+    WIRES_AS_SHORT,
 )
+from ._usual_fits import UsualFits, changes_of, hold_lines, moved_by, shares_of, state_fitted
 
-STEPS, FIRST_STEPS = 6, 60
-"""evaluations of the model in one frame, and in the first one of all"""
-RENEWALS, FIRST_RENEWALS = 3, 20
-"""new derivatives in one frame, and in the first one of all"""
-LARGEST_MATRIX = 4096
-"""cells up to which a matrix of all readings by all cells is made: 0.3 GB"""
-MOST_BESIDE = 256
-"""cells up to which they are one beside shorts and cells that nothing reads, which no structure fits"""
-_SMALL = 100  # cells up to which the derivatives are a matrix
-_ALIKE_ERRORS = 20.0  # inverse of the relative change of the readings' errors up to which covariances are alike
-_FITS, _MISFIT = 0.5, 8.0  # half steps and noise: by rounding alone, and from which on no cells give these readings
-_NEAR = 0.04  # change of the shares, over the largest one that derivatives serve, for which new ones are alike
-_SLOW = 0.2  # length of a step over the one before, above which derivatives are to blame
-_PROGRESS = 0.7  # misfit at the end of a frame over that at its beginning, above which steps lead nowhere
-_SHORTER, _LONGER = 0.2, 3.0  # limit of a step over one that leads away, and over the limit of one that does not
-_STUCK = 1e-9  # limit below which they have come to their end
-_MORE_DAMPING, _MOST_DAMPING = 10.0, 1e3  # times the damping until a step is short enough; most over the largest root
-_JUMP = 20.0  # half steps from which on closed formulas may be a nearer start
-_LEAST_READING = 0.03  # half steps: reading of the least conductance of cells behind a break
-_TIED = 0.5  # share from which on a cell may tie lines as a short does
-_LEAST_BEHIND = 1e-4  # resistance that a cell sees of its lines, over the reading's resistor
-_LEAST = 1e-18  # S: a cell's resistance has to be a number
-_AS_SHORT, _SHORT = 1e5, 1e6  # wires of a cell over its own resistance, and S, from which on it is as good as a short
-_TIE = 0.02  # cell over the reference resistor, below which it ties lines to each other
 _NO_CELLS = "no cell resistances give these readings; check that the design is that of the board"
-_MOST_UNREAD, _MOST_TIED = 3, 8  # cells whose intervals are gone through, by all corners and by the outermost ones
-_PATH = 4  # points on the way of a cell of unknown size to a short
-_BESIDE_STEPS, _BESIDE_STEP = 10, 0.01  # steps to the others beside it, and relative change of shares in the last one
-_SHARE_BESIDE = 0.3  # least share that counts beside several cells: at their corners small ones are hardly determined
-_BESIDE_SLOW = 0.5  # of a step's length over the one before, above which derivatives are made anew
-_SWING = 0.07  # of a share, up to which derivatives hold
-_MOST_AXES = 6  # of the covariance along which the model is asked
-_SLOWEST = 0.9  # ratio of two steps back to the readings, from which on they do not end
-_OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
-_CONTRACTS = 0.5  # factor of a map that surely has one fixed point, with room for derivatives that change
-_CALM = 3  # frames by the same derivatives, after which those of many cells are worth a matrix
-_TYPICAL = 1e-5  # S, of a cell if no reading shows a conductance
 
 
 class _Linear(NamedTuple):
@@ -132,7 +125,7 @@ class _Linear(NamedTuple):
         return self._once(self.beyond_at, coarser)
 
     def _once(self, of_errors: Callable[[float], FloatArray], coarser: float) -> FloatArray:
-        kept = of_errors, round(_ALIKE_ERRORS * np.log(coarser))
+        kept = of_errors, round(ALIKE_ERRORS * np.log(coarser))
         if kept not in self.known:
             self.known[kept] = of_errors(coarser)
         return self.known[kept]
@@ -180,7 +173,7 @@ class FitLive:
         self._sheet = SheetModel(known.whole, self._quick) if board.continuous else None
         self._model = self._quick if self._sheet is None else self._sheet
         self._cells = cells = board.shape[0] * board.shape[1]
-        nodes = NodeBlocks(self._board, self._quick, self._std) if cells > _SMALL else None
+        nodes = NodeBlocks(self._board, self._quick, self._std) if cells > SMALL_MATRIX else None
         self._nodes = nodes if nodes is not None and nodes.applies else None
         if cells > LARGEST_MATRIX and self._nodes is None:
             raise InputError(
@@ -198,8 +191,8 @@ class FitLive:
         at_ends = np.abs(board.circuit.ideal_volts(board, at_ends) - board.level)
         self._beyond = np.where(self._gone | board.circuit.virtual_ground, inf, at_ends)  # V, no cells read more
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
-        self._open = (_LEAST_READING * self._half_step * per_volt).ravel()  # S, as good as open
-        most = np.minimum(_AS_SHORT / (self._leads + LEAST_SHORT_OHM), _SHORT)
+        self._open = (LEAST_READING * self._half_step * per_volt).ravel()  # S, as good as open
+        most = np.minimum(WIRES_AS_SHORT / (self._leads + LEAST_SHORT_OHM), SHORT_SIEMENS)
         if least_ohm:
             most = np.where(self._hidden, 1.0 / least_ohm, most)
         self._most = most
@@ -238,17 +231,17 @@ class FitLive:
         small = self._cells <= MOST_BESIDE
         short = signal >= SHORT_SHARE * self._short
         # No way between two lines conducts better than a short of their ends.
-        beyond = (signal > self._beyond + _MISFIT * error) & ~unread
+        beyond = (signal > self._beyond + MISFIT * error) & ~unread
         # Several cells of unknown size may join lines whose readings are then alike, whatever the other cells are.
         unsized = np.count_nonzero(unread & ~self._hidden)
         several = unsized + bool(self._hidden.any()) > 1 and (
-            unsized > _MOST_UNREAD or self._cells > _SMALL or bool(self._hidden.any()) or self._sheet is not None
+            unsized > MOST_UNREAD or self._cells > SMALL_MATRIX or bool(self._hidden.any()) or self._sheet is not None
         )
         large = not small and bool(unread.any())
         wide = self._nodes is not None and bool(short.any())  # beyond the structure of the lines
         if beyond.any() or several or large or (wide and not small):
             self._in_vain = self._in_vain + 1 if beyond.any() else 0
-            if self._in_vain > _OFTEN:
+            if self._in_vain > OFTEN:
                 raise SolverError(_NO_CELLS)
             return self._nothing(frame, DISTURBED, unread | short)
         read: FloatArray = np.where(unread.ravel(), 0.0, 1.0)
@@ -293,7 +286,7 @@ class FitLive:
         if linear is None or self._conductance is None or self._astray or not self._read.all():
             return None
         if linear.inverse is None:
-            if self._nodes is not None and self._calm < _CALM:
+            if self._nodes is not None and self._calm < CALM:
                 return None
             linear = self._linear = self._with_inverse(linear)
             if linear is None or linear.inverse is None:
@@ -328,9 +321,9 @@ class FitLive:
         volts, begun = self._at(conductance), begun_by.shares(conductance)
         first, last = begun[cells], begun_by.shares(self._most.ravel())[cells]
         on_path = len(cells) == 1 or bool(self._hidden.any())
-        each = [(part / _PATH,) * len(cells) for part in range(1, _PATH + 1)] if on_path else []
+        each = [(part / PATH_POINTS,) * len(cells) for part in range(1, PATH_POINTS + 1)] if on_path else []
         there, path, linear = conductance, [begun], begun_by
-        if len(cells) <= _MOST_UNREAD:
+        if len(cells) <= MOST_UNREAD:
             corners = list(product((0.0, 1.0), repeat=len(cells)))
         else:
             corners = [*map(tuple, np.eye(len(cells))), (1.0,) * len(cells)]
@@ -342,19 +335,19 @@ class FitLive:
             there[cells] = held
             if anew:  # derivatives beside an open cell may tell nothing of those beside a short
                 linear = self._renewed(there, coarser)
-            for _ in range(_BESIDE_STEPS):
+            for _ in range(BESIDE_STEPS):
                 step = linear.solve((volts - self._at(there)) * self._read, inf)
                 length = float(np.abs(step).max())
-                if not (anew or length <= _BESIDE_SLOW * before):
+                if not (anew or length <= BESIDE_SLOW * before):
                     linear, before, anew = self._renewed(there, coarser), inf, True
                     continue
                 there, before = linear.moved(there, step, coarser, self._most), length
                 there[cells] = held
-                enough = _BESIDE_STEP * np.maximum(np.abs(begun), 0.0 if on_path else _SHARE_BESIDE)
+                enough = BESIDE_STEP * np.maximum(np.abs(begun), 0.0 if on_path else SHARE_BESIDE)
                 if (np.abs(step) <= np.maximum(SETTLED * std, enough)).all():
                     break
             else:  # some are hardly determined, or this is beyond what the readings allow
-                step *= _BESIDE_STEPS
+                step *= BESIDE_STEPS
             path.append(begun_by.shares(there))
             change = np.abs(path[-1] - begun) + np.abs(step)
             if not on_path:
@@ -370,7 +363,7 @@ class FitLive:
         apparent = self._board.circuit.apparent_conductance(self._board, signal)
         apparent = cell_alone(self._board, apparent, self._shunt)
         conducting = apparent[apparent > 0.0]
-        typical = float(np.median(conducting)) if conducting.size else _TYPICAL
+        typical = float(np.median(conducting)) if conducting.size else TYPICAL
         alone = np.where(apparent > 1e-3 * typical, apparent, 0.1 * typical).ravel()
         start: FloatArray = np.minimum(alone, self._most.ravel())
         return start
@@ -395,7 +388,7 @@ class FitLive:
 
         None: not settled.
         """
-        steps, renewals = (STEPS, RENEWALS) if self._begun else (FIRST_STEPS, FIRST_RENEWALS)
+        steps, renewals = (FIT_STEPS, RENEWALS) if self._begun else (FIRST_STEPS, FIRST_RENEWALS)
         self._begun, self._still = True, False
         pinned = self._read == 0.0
 
@@ -404,7 +397,7 @@ class FitLive:
 
         starts = [self._closed_start(volts)]
         if start is not None:
-            starts.insert(0, np.clip(start, _LEAST, self._most).ravel())
+            starts.insert(0, np.clip(start, LEAST_CELL, self._most).ravel())
         if self._conductance is not None:
             starts.insert(0 if self._gains else len(starts), self._conductance)
         starts = [np.where(pinned, self._pinned, each) for each in starts]
@@ -413,7 +406,7 @@ class FitLive:
         here = starts[0]
         apart = off(here)
         misfit = self._misfit(apart, coarser)
-        for other in starts[1:] if self._gains and not misfit <= _JUMP else ():
+        for other in starts[1:] if self._gains and not misfit <= JUMP else ():
             steps -= 1
             if not misfit <= self._misfit(off(other), coarser):
                 here, apart = other, off(other)
@@ -439,13 +432,13 @@ class FitLive:
                 if length > self._longest:
                     step = linear.solve(apart, self._longest)
                     step[pinned] = 0.0
-                if length > _SLOW * before and change > _NEAR and renewals:
+                if length > SLOW * before and change > NEAR and renewals:
                     self._linear, before = None, inf
                     continue
                 trial = linear.moved(here, step, coarser, self._most)
                 ahead, steps = off(trial), steps - 1
-                while not ahead @ ahead < apart @ apart and steps > 0 and not (change > _NEAR and renewals):
-                    self._longest = _SHORTER * float(np.abs(step).max())
+                while not ahead @ ahead < apart @ apart and steps > 0 and not (change > NEAR and renewals):
+                    self._longest = SHORTER * float(np.abs(step).max())
                     step = linear.solve(apart, self._longest)
                     step[pinned] = 0.0
                     trial = linear.moved(here, step, coarser, self._most)
@@ -453,33 +446,33 @@ class FitLive:
                 if ahead @ ahead < apart @ apart:
                     here, apart, before = trial, ahead, length
                     misfit = self._misfit(apart, coarser)
-                    self._longest = self._longest * _LONGER if self._longest < 1.0 else inf
-                elif change > _NEAR and renewals:
+                    self._longest = self._longest * LONGER if self._longest < 1.0 else inf
+                elif change > NEAR and renewals:
                     self._linear, before = None, inf
                 if steps <= 0:
                     break
         except np.linalg.LinAlgError:
             self._conductance = self._linear = None
             return None
-        self._still = settled or self._longest < _STUCK
+        self._still = settled or self._longest < STUCK
         # Where readings hardly tell, steps need not end: what they have left is part of the uncertainty, as far as
         # derivatives hold.
         left *= further
-        ends = settled or (misfit <= _FITS and float(left.max()) <= _SWING)
+        ends = settled or (misfit <= FITS and float(left.max()) <= SWING)
         ended, settled = settled, ends and misfit <= NO_FIT and self._linear is not None
         if self._sheet is not None and settled:
             settled = self._follow_sheet(here, coarser)
         self._conductance, self._astray = here, not settled
         # Cells from which steps lead nowhere are left for those of the closed formulas, from which they mostly do.
-        self._gains = settled or not self._gains or misfit < _PROGRESS * at_first
+        self._gains = settled or not self._gains or misfit < PROGRESS * at_first
         self._calm = self._calm + 1 if settled and self._linear is begun else 0
-        self._in_vain = self._in_vain + 1 if not misfit <= _MISFIT else 0
-        if self._in_vain > _OFTEN:
+        self._in_vain = self._in_vain + 1 if not misfit <= MISFIT else 0
+        if self._in_vain > OFTEN:
             if not self._in_vain & (self._in_vain - 1):  # begin anew, each time with twice as many frames
                 self._conductance = None
             # Cells of a few ohm tie lines to each other: then other cells, far from these, may give the readings.
-            ties = not self._read.all() or float(here.max()) * _TIE * float(self._board.reference.min()) > 1.0
-            if self._still and self._in_vain > 3 * _OFTEN and not ties:
+            ties = not self._read.all() or float(here.max()) * TIE * float(self._board.reference.min()) > 1.0
+            if self._still and self._in_vain > 3 * OFTEN and not ties:
                 raise SolverError(_NO_CELLS)
         return (here, misfit, np.zeros(len(left)) if ended else left) if settled else None
 
@@ -487,7 +480,7 @@ class FitLive:
         """Solve the continuous sheet anew if its cells have moved; False: the fit goes on in the next frame."""
         assert self._sheet is not None
         assert self._linear is not None
-        log = np.log(np.maximum(conductance, _LEAST))
+        log = np.log(np.maximum(conductance, LEAST_CELL))
         share = self._linear.shares(conductance)
         relative = self._linear.std(coarser) / np.maximum(share * (1.0 - share), TINY)
         if self._sheet.serves(log, SIGMAS * relative):
@@ -508,7 +501,7 @@ class FitLive:
         if self._nodes is not None and self._read.all() and not self._wide:
             by_nodes = self._nodes.at(cells, per_share)
             std, nothing = by_nodes.std.ravel(), np.zeros(len(share))
-            if self._cells > MOST_BESIDE or not (BY_STEPS * coarser * std > _SWING).any():
+            if self._cells > MOST_BESIDE or not (BY_STEPS * coarser * std > SWING).any():
                 at = conductance, share, behind, by_nodes.solve
                 return _Linear(*at, lambda coarser: coarser * std, lambda coarser: nothing, {})
         jacobian = self._jacobian(cells, per_share)
@@ -518,8 +511,8 @@ class FitLive:
         def solve(apart: FloatArray, longest: float) -> FloatArray:
             along, damping = values * (apart / self._std @ readings), WITHIN
             step: FloatArray = axes @ (along / (roots + damping))
-            while not float(np.abs(step).max()) <= longest and damping < _MOST_DAMPING * roots[0]:
-                damping *= _MORE_DAMPING
+            while not float(np.abs(step).max()) <= longest and damping < MOST_DAMPING * roots[0]:
+                damping *= MORE_DAMPING
                 step = axes @ (along / (roots + damping))
             return step
 
@@ -530,7 +523,7 @@ class FitLive:
         def beyond_at(coarser: float) -> FloatArray:
             beyond = self._beyond_linear(made, jacobian, roots, axes, coarser)
             # A cell between lines that others join may be as large, but ties nothing that is not tied.
-            tied = (share > _TIED) & (share + BY_STEPS * std_at(coarser) + beyond >= 1.0)
+            tied = (share > TIES_LINES) & (share + BY_STEPS * std_at(coarser) + beyond >= 1.0)
             return np.maximum(beyond, self._beside_tied(made, tied & self._present & (self._read > 0.0), coarser))
 
         amplified = inf
@@ -552,17 +545,17 @@ class FitLive:
         """
         swing, conductance = BY_STEPS / np.sqrt(roots / coarser**2 + WITHIN), linear.conductance
         ends = swing * axes * self._read[:, None]  # cells that are not read go through their own intervals
-        longest = np.argsort(np.abs(ends).max(axis=0))[::-1][:_MOST_AXES]
+        longest = np.argsort(np.abs(ends).max(axis=0))[::-1][:MOST_AXES]
         squares, volts = np.zeros(len(roots)), None
         for axis in longest:
             along = ends[:, axis]
-            if not float(np.abs(along).max()) > _SWING:
+            if not float(np.abs(along).max()) > SWING:
                 break
             volts = self._at(conductance) if volts is None else volts
             most = np.zeros(len(roots))
             for side in (1.0, -1.0):
                 there = linear.moved(conductance, side * along, coarser, self._most)
-                there = np.maximum(there, np.minimum(conductance, _LEAST))
+                there = np.maximum(there, np.minimum(conductance, LEAST_CELL))
                 read = volts + jacobian @ (linear.shares(there) - linear.share) * self._std
                 steps = []
                 for _ in range(2):
@@ -584,7 +577,7 @@ class FitLive:
         count = np.count_nonzero(tied)
         if count < 2:
             return np.zeros(len(tied))
-        if count > (_MOST_TIED if self._cells <= _SMALL else _MOST_UNREAD) or self._sheet is not None:
+        if count > (MOST_TIED if self._cells <= SMALL_MATRIX else MOST_UNREAD) or self._sheet is not None:
             return np.full(len(tied), inf)
         read, self._read = self._read, np.where(tied, 0.0, self._read)
         try:
@@ -610,7 +603,7 @@ class FitLive:
         along = cells.sum(axis=1, keepdims=True) + np.reshape(held, (-1, 1))
         down = cells.sum(axis=0) + end
         behind: FloatArray = 1.0 / np.maximum(along - cells, TINY) + 1.0 / np.maximum(down - cells, TINY)
-        floor = _LEAST_BEHIND * float(board.reference.mean())
+        floor = LEAST_BEHIND * float(board.reference.mean())
         return np.maximum(behind, floor).ravel()
 
     def _per_share(self, cells: FloatArray, behind: FloatArray) -> FloatArray:
@@ -644,7 +637,7 @@ class FitLive:
         """
         assert self._linear is not None
         in_range = float(conductance.max()) * self._least_ohm <= 1.0
-        return in_range and self._linear.amplified * self._lost < _CONTRACTS
+        return in_range and self._linear.amplified * self._lost < CONTRACTS
 
     def _derivatives(self, cells: FloatArray) -> FloatArray:
         """V/S (n, n) of all readings by all crosspoints."""
@@ -685,7 +678,7 @@ class FitLive:
             more = np.full(len(more), inf)
         if self._sheet is not None:
             share = linear.shares(conductance)
-            more = more + self._sheet.doubt(np.log(np.maximum(conductance, _LEAST))) * share * (1.0 - share)
+            more = more + self._sheet.doubt(np.log(np.maximum(conductance, LEAST_CELL))) * share * (1.0 - share)
         under_range: BoolArray = np.zeros(shape, dtype=np.bool_)
         if frame.under_range is not None:
             under_range = frame.under_range
@@ -720,7 +713,7 @@ def _shares(conductance: FloatArray, behind: FloatArray) -> FloatArray:
 
 def _further(slower: float) -> float:
     """What steps have left in all, over the last one, whose ratio to the one before is ``slower``."""
-    return 1.0 / (1.0 - slower) if slower < _SLOWEST else float(_BESIDE_STEPS)
+    return 1.0 / (1.0 - slower) if slower < SLOWEST else float(BESIDE_STEPS)
 
 
 def _axes(jacobian: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -25,21 +25,27 @@ from .._board import cell_alone
 from .._exact import read_exactly
 from ._answers import Answers, several_answers
 from ._enclosure import Enclosure
-from ._factors import EVALUATIONS, Factors
+from ._factors import Factors
 from ._known_board import KnownBoard
 from ._law import Law
 from ._law_frames import IMPOSSIBLE, MEASURED, STALE, LawFrames
-from ._law_kernels import ALIKE, LEAST, OPEN
-from ._live_fit import MOST_BESIDE, FitLive
-from ._live_reading import DISTURBED, HIDDEN, NO_CURRENT, SATURATED, SIGMAS, Readings, ValidityRule
+from ._live_fit import FitLive
+from ._live_reading import DISTURBED, HIDDEN, NO_CURRENT, SATURATED, Readings, ValidityRule
 from ._measured import constants_of
-from ._quick_model import COMPLETE_SHORT
-
-_SHEET_EVALUATIONS = 1  # of a continuous sheet in a frame, a hundred times as dear as that of a sliced one
-_MOST_HIDDEN = 10.0  # conductance of a cell behind a named break over the median of others, if no range is known
-_HIDDEN_MARGIN = 2.0  # for some of the cells behind a break that conduct well, where the effects of all at once cancel
-_COUPLED = 0.3  # share of a column's current that may pass to others, from which on steps do not tell what is left
-_OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
+from ._tuning import (
+    ALIKE,
+    COMPLETE_SHORT,
+    COUPLED,
+    EVALUATIONS,
+    HIDDEN_MARGIN,
+    LEAST,
+    MOST_BESIDE,
+    MOST_HIDDEN,
+    OFTEN,
+    OPEN,
+    SHEET_EVALUATIONS,
+    SIGMAS,
+)
 
 
 class LawLive:
@@ -104,7 +110,7 @@ class LawLive:
         no_reading[hidden | self._shorted] = HIDDEN
         self._no_reading, self._present = no_reading, ~(hidden | self._shorted)
         self._frames = self._kernel(known, exact, beside_end, no_reading, fits=fits and not exact)
-        evaluations = _SHEET_EVALUATIONS if board.continuous else EVALUATIONS
+        evaluations = SHEET_EVALUATIONS if board.continuous else EVALUATIONS
         self._factors = None if exact else Factors(self._frames.kept, self._law, self._law_of_model, evaluations)
         self.usual: Callable[[Readings], Measurement | None] | None = None
         if self._tells and self._answers is None and not board.bridges:
@@ -185,7 +191,7 @@ class LawLive:
         known = factors is not None and factors.hold
         measured, came, opens = self._frames(frame, known=known)
         self._impossible = self._impossible + 1 if came == IMPOSSIBLE else 0
-        if self._impossible > _OFTEN:
+        if self._impossible > OFTEN:
             raise SolverError("no cell resistances give these readings; check that the design is that of the board")
         if came == MEASURED and not bridged:
             return measured
@@ -206,7 +212,7 @@ class LawLive:
         cells, left, settled = factors(by_law, self._frames.relative, off, counted, self._rule.limit)
         if not settled and self._last_fit is not None and held and self._frames.lone():
             return self._last_fit.read(frame, cells)
-        if settled and float(factors.kept.coupling.max()) > _COUPLED:
+        if settled and float(factors.kept.coupling.max()) > COUPLED:
             left = np.maximum(left, self._frames.linear * self._misfit(frame, cells, counted))
         if self._some_hidden and settled:
             self._frames.by_hidden[...] = self._of_hidden(cells)
@@ -233,14 +239,14 @@ class LawLive:
         assert self._factors is not None
         usual = self._law_of_model(np.maximum(cells, OPEN))
         change = np.zeros(self._shape)
-        for hidden in (OPEN, min(self._most_hidden, _MOST_HIDDEN * float(np.median(cells[~self._hidden])))):
+        for hidden in (OPEN, min(self._most_hidden, MOST_HIDDEN * float(np.median(cells[~self._hidden])))):
             try:
                 moved = self._law_of_model(np.maximum(cells, OPEN), hidden)
             except (SolverError, np.linalg.LinAlgError):
                 return np.full(self._shape, inf)
             change = np.fmax(change, np.abs(moved - usual) / np.maximum(np.abs(usual), OPEN))
         # As in the factors, a cell changes by more than what the law makes of it where lines take most of a drive.
-        grown: FloatArray = _HIDDEN_MARGIN * change * np.maximum(self._factors.kept.rho, 1.0) ** 2
+        grown: FloatArray = HIDDEN_MARGIN * change * np.maximum(self._factors.kept.rho, 1.0) ** 2
         return grown
 
     def _law_of_model(self, conductance: FloatArray, hidden: float | None = None) -> FloatArray:

@@ -14,15 +14,7 @@ from ...common.arrays import BoolArray, FloatArray
 from ...common.checks import number
 from ...common.measurement import NOISY, Measurement
 from ...errors import InputError
-
-ACCURACY = 0.5
-"""default relative uncertainty of a conductance up to which a cell is valid. The uncertainty bounds the error, so a
-resistance is never off by a factor of two; the root mean square of errors is about a sixth of the uncertainty
-"""
-MOST_NOISE = 0.95
-"""relative uncertainty of a noisy reading that an average can use"""
-SIGMAS = 3.0
-"""standard deviations of the readings' noise that an uncertainty covers"""
+from ._tuning import ACCURACY, MOST_NOISE
 
 
 class Reason(IntEnum):

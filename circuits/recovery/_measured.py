@@ -18,9 +18,7 @@ from ...common.measurement import (
 from .._adc import adc_error
 from .._board import Board
 from ._live_reading import UNCERTAIN, ValidityRule
-
-OF_STEPS = 0.105
-"""share of an uncertainty up to which noisy readings serve that ADC steps may have in it: averages do not reduce it"""
+from ._tuning import OF_STEPS
 
 
 class Constants(Record):

@@ -25,18 +25,13 @@ import numpy as np
 
 from ...common.arrays import FloatArray
 from .._board import Board, broken_off
-from ._law_kernels import BY_STEPS, TINY
+from ._law_kernels import TINY
 from ._port_derivatives import PortDerivatives
 from ._quick_model import QuickModel
+from ._tuning import BY_STEPS, ITERATIONS, LEAST_REST, LINE_FITS, PER_TIE, STRUCTURE_MARGIN, TOLERANCE
 
 WITHIN = BY_STEPS**2
 """inverse of the variance of a share before anything is read: shares are from 0 to 1"""
-_ITERATIONS = 16  # largest number of conjugate gradients in one step
-_TOLERANCE = 0.01  # of the residual, in the preconditioner's norm, that a step may leave
-_FITS = 3  # alternating least squares for the two vectors of a line
-_PER_TIE = 0.5  # missing part of a standard deviation per measure of ties: 0.1 to 0.45 on boards tried
-_LEAST_REST = 1e-6  # least conductance of the rest of a crosspoint's lines over its own, so that a quotient is defined
-_MARGIN = 1.15  # standard deviations by structure are 0.90 to 1.05 of the exact ones on boards tried
 
 
 class _Lines(NamedTuple):
@@ -118,7 +113,7 @@ class NodeStep:
         information += WITHIN - np.einsum("ijj->ij", along) ** 2
         variance = np.maximum(free - free**2 * self._quadratic(inner), 1.0 / information)
         std = np.sqrt(variance)
-        self.std: FloatArray = _MARGIN * std * (1.0 + _PER_TIE * tied(conductance))
+        self.std: FloatArray = STRUCTURE_MARGIN * std * (1.0 + PER_TIE * tied(conductance))
         """posterior standard deviation of the shares"""
 
     def _quadratic(self, matrix: FloatArray) -> FloatArray:
@@ -151,8 +146,8 @@ class NodeStep:
         direction = preconditioned = self._preconditioned(residual)
         gain = begun = float(np.vdot(residual, preconditioned))
         change = np.zeros_like(residual)
-        for _ in range(_ITERATIONS):
-            if gain <= _TOLERANCE**2 * begun:
+        for _ in range(ITERATIONS):
+            if gain <= TOLERANCE**2 * begun:
                 break
             image = self._normal(direction)
             length = gain / float(np.vdot(direction, image))
@@ -194,7 +189,7 @@ def tied(conductance: FloatArray) -> FloatArray:
     for ties of 30 and a rest of 1, the structure gives a sixth of the true standard deviation.
     """
     along, down = conductance.sum(axis=1, keepdims=True), conductance.sum(axis=0)
-    tie = conductance / np.maximum(np.minimum(along, down) - conductance, _LEAST_REST * conductance)
+    tie = conductance / np.maximum(np.minimum(along, down) - conductance, LEAST_REST * conductance)
     in_row, in_column = _most_of_others(tie), _most_of_others(tie.T).T
     crossed: FloatArray = np.minimum(in_row, in_column)
     np.maximum(crossed, np.minimum(tie, in_column).max(axis=1, keepdims=True), out=crossed)
@@ -218,7 +213,7 @@ def _product_of_vectors(blocks: FloatArray) -> tuple[FloatArray, FloatArray]:
     beside = blocks.copy()
     np.einsum("kaa->ka", beside)[:] = 0.0
     first = np.ones(blocks.shape[:2])
-    for _ in range(_FITS):
+    for _ in range(LINE_FITS):
         second = _divided(np.einsum("kab,ka->kb", beside, first), _of_others(first))
         first = _divided(np.einsum("kab,kb->ka", beside, second), _of_others(second))
     return first, second

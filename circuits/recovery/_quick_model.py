@@ -28,12 +28,7 @@ from ..readouts import QuickFields, QuickNetwork
 from ..solvers import has_ideal_lines, port_conductances
 from ._lines import LineResistance
 from ._port_derivatives import AnyLines, Branches, IdealLines, PortDerivatives
-
-COMPLETE_SHORT = 1e-5
-"""ohm that stands for a short of 0 ohm"""
-_AT_ONCE = 4096  # derivatives that are computed together, if those of one row are fewer
-_SOME_OHM = 1e4
-_LIGHT = 0.25  # largest loss in the lines for which sweeps are accurate to a percent
+from ._tuning import AT_ONCE, COMPLETE_SHORT, LIGHT, SOME_OHM
 
 
 def with_resistance(fault: Fault) -> Fault:
@@ -71,7 +66,7 @@ class QuickModel:
             # Not with the faults: an open cell alone on its line leaves it no potential.
             sound = replace(board, series_ohms=np.zeros(board.shape))
             try:
-                self.has_network = self._quick(sound.cell_conductance(np.full(board.shape, _SOME_OHM))) is not None
+                self.has_network = self._quick(sound.cell_conductance(np.full(board.shape, SOME_OHM))) is not None
             except np.linalg.LinAlgError:  # a line that is cut off
                 self.has_network = False
         self.is_quick = self.is_quick and self.has_network
@@ -168,7 +163,7 @@ class QuickModel:
             self.has_network
             and not self._board.pulled
             and self._lines.finite
-            and self._lines.loss(conductance) <= _LIGHT
+            and self._lines.loss(conductance) <= LIGHT
         )
         return _Way.SWEPT if light else _Way.SPARSE
 
@@ -191,7 +186,7 @@ class QuickModel:
     def _products(self, fields: QuickFields, cells: FloatArray) -> Iterator[FloatArray]:
         branches = self.branches(cells)
         rows, columns = fields.forward.row_share.shape
-        some = max(1, _AT_ONCE // (rows * columns**2))
+        some = max(1, AT_ONCE // (rows * columns**2))
         for row in range(0, rows, some):
             forward, adjoint = (branches.across(each.of_some(slice(row, row + some))) for each in fields)
             derivative = forward * adjoint

@@ -24,19 +24,12 @@ from .._exact import read_exactly
 from .._parts import LEAST_SHORT_OHM
 from .._sections import Adc
 from .._tuning import PROBES_S
-from ..solvers import ULP
 from ._known_board import KnownBoard
 from ._live import live_inverse
-from ._live_reading import SIGMAS, LiveRecovery, Readings, Reason, ValidityRule
+from ._live_reading import LiveRecovery, Readings, Reason, ValidityRule
 from ._recovered import Recovery, Status
+from ._tuning import COARSER, FINER, FRAMES, KNOWN, READ_TOLERANCE, RECOVERY_MARGIN, ROUNDING, SIGMAS
 
-_READ_TOLERANCE = 1e4  # largest relative error of a cell that counts as read, over the requested accuracy
-_FINER = 1e-2  # error of the readings over the drive and the requested accuracy, so that weak cells are read as well
-_ROUNDING = 64.0 * ULP  # of a reading, over the largest one
-_KNOWN = 0.999  # relative uncertainty from which on nothing is known of a cell
-_MARGIN = 1.5  # for bounds beside cells of unknown size, which are of first order
-_FRAMES = 12  # repetitions until steps have ended
-_COARSER = 30.0  # errors of the next recovery over those of one that failed, at least
 _REFUSED = (
     "no cell resistances were found that give these readings; check that the design is that of the board, and that its "
     "circuit determines the cells"
@@ -98,7 +91,7 @@ class Recoverer:
     @np.errstate(divide="ignore", invalid="ignore")
     def _begun(self) -> LiveRecovery:
         """The live recovery, before its first frame."""
-        return live_inverse(self._exact, ValidityRule(_KNOWN, averages=inf), self._least_ohm)
+        return live_inverse(self._exact, ValidityRule(KNOWN, averages=inf), self._least_ohm)
 
     @np.errstate(divide="ignore", invalid="ignore")
     def __call__(self, volts: ArrayLike, *, clipped: ArrayLike | None = None) -> Recovery:
@@ -106,18 +99,18 @@ class Recoverer:
         measured = _checked(self._design, volts)
         limited, under_range = self._limits(measured, clipped)
         largest = max(float(np.abs(measured).max()), abs(self._board.drive))
-        noise = _ROUNDING * largest / SIGMAS
+        noise = ROUNDING * largest / SIGMAS
         before = self._exact.model.evaluations
         bounded = np.zeros(measured.shape, dtype=np.bool_) if limited is None else limited
         if under_range is not None:  # an open cell may stand at a limit which is that of no current
             bounded = bounded | (under_range & (np.abs(measured - self._board.level) > self._error + SIGMAS * noise))
         error, found, solved = self._error + SIGMAS * noise, None, False
-        while not solved and error <= _READ_TOLERANCE * self._accuracy * largest:
+        while not solved and error <= READ_TOLERANCE * self._accuracy * largest:
             noise = (error - self._error) / SIGMAS
             found = self._repeated(Readings.of(measured, noise, limited=limited, under_range=under_range))
             off = 0.0 if bounded.any() or found is None else self._missed(found, measured)
             solved = found is not None and off <= error
-            error = max(off, _COARSER * error)
+            error = max(off, COARSER * error)
         if found is None:
             raise SolverError(_REFUSED)
         if not solved:  # these cells do not give the readings
@@ -141,7 +134,7 @@ class Recoverer:
             top = at_limit if adc is None else at_limit & (volts > sum(adc.range) / 2)
             bottom = at_limit if adc is None else at_limit & ~top
         low, high = board.supply
-        rounding = _ROUNDING * max((abs(limit) for limit in (low, high) if isfinite(limit)), default=0.0)
+        rounding = ROUNDING * max((abs(limit) for limit in (low, high) if isfinite(limit)), default=0.0)
         top, bottom = top | (volts >= high - rounding), bottom | (volts <= low + rounding)
         if (board.drive > 0) == board.circuit.inverts:
             top, bottom = bottom, top
@@ -150,7 +143,7 @@ class Recoverer:
 
     def _repeated(self, frame: Readings) -> Measurement | None:
         """The frame after as many repetitions as its steps take; None if they lead to no cells."""
-        for _ in range(_FRAMES):
+        for _ in range(FRAMES):
             try:
                 found = self._live(frame)
             except SolverError:
@@ -189,7 +182,7 @@ class Recoverer:
             evaluations: of the model.
 
         """
-        reason, worth = found.reason, _READ_TOLERANCE * self._accuracy
+        reason, worth = found.reason, READ_TOLERANCE * self._accuracy
         with np.errstate(invalid="ignore"):
             most = np.fmax(found.conductance, 0.0) * (1.0 + found.uncertainty)  # NaN where nothing is known
         opened = (reason == Reason.UNCERTAIN) & (found.uncertainty >= 1.0) & (most <= worth * apparent.max(initial=0.0))
@@ -206,14 +199,14 @@ class Recoverer:
         with np.errstate(divide="ignore", invalid="ignore"):
             resistance = np.where(opened, inf, np.where(valued, 1.0 / found.conductance, np.nan))
         beside = bounded | (reason == Reason.HIDDEN)
-        uncertainty = found.uncertainty * (_MARGIN if beside.any() else 1.0)
+        uncertainty = found.uncertainty * (RECOVERY_MARGIN if beside.any() else 1.0)
         uncertainty = np.where(opened, 0.0, np.where(valued, uncertainty, inf))
         return Recovery(resistance, status.astype(np.int8), uncertainty, evaluations)
 
 
 def _behind_fine_steps(board: Board, accuracy: float) -> Board:
     """The board behind a converter whose largest error is that of a reading; only its step counts."""
-    step = 2.0 * max(_FINER * accuracy, _ROUNDING) * abs(board.drive)
+    step = 2.0 * max(FINER * accuracy, ROUNDING) * abs(board.drive)
     return replace(board, adc=Adc(bits=1, range=(0.0, 2.0 * step)))
 
 

@@ -14,9 +14,7 @@ from ...common.arrays import FloatArray
 from .._board import Board
 from .._exact import read_exactly
 from ._quick_model import QuickModel
-
-_SHARE = 0.1  # of a change of the cells since the last solution, error of the difference
-_SERVES = 0.01  # change of a logarithm up to which the difference is kept
+from ._tuning import SHEET_SERVES, SHEET_SHARE
 
 
 class SheetModel:
@@ -35,7 +33,7 @@ class SheetModel:
 
     def serves(self, log: FloatArray, spread: FloatArray) -> bool:
         """Whether the difference is accurate enough at logarithms (n,) of conductances known within ``spread``."""
-        return self._at is not None and bool((np.abs(log - self._at) <= np.maximum(_SERVES, spread)).all())
+        return self._at is not None and bool((np.abs(log - self._at) <= np.maximum(SHEET_SERVES, spread)).all())
 
     def solve(self, log: FloatArray) -> None:
         """Compute the difference anew, at logarithms (n,) of conductances."""
@@ -45,4 +43,4 @@ class SheetModel:
 
     def doubt(self, log: FloatArray) -> float:
         """Relative error of a conductance by the difference."""
-        return np.inf if self._at is None else _SHARE * float(np.abs(log - self._at).max())
+        return np.inf if self._at is None else SHEET_SHARE * float(np.abs(log - self._at).max())

@@ -23,31 +23,28 @@ from ...common.measurement import GREATEST, LEAST, Measurement
 from ...common.noise import constant_part
 from .._board import Board
 from ..readouts import columns_impedance
-from ._law_kernels import BY_NOISE, BY_STEPS
-from ._live_reading import DISTURBED, HIDDEN, NO_CURRENT, SATURATED, SIGMAS, UNCERTAIN, Readings
+from ._live_reading import DISTURBED, HIDDEN, NO_CURRENT, SATURATED, UNCERTAIN, Readings
 from ._measured import Constants, state_one
-
-NO_FIT = 1.5
-"""half steps of readings from those of the cells: no fit yet. As many cells as readings fit closely, or it is another
-minimum
-"""
-SETTLED, LARGE = 0.3, 0.02
-"""step that does not matter, in standard deviations of a share; change of one that always does"""
-SHORT_SHARE = 0.98
-"""of the reading of a short, from which on a cell may be one"""
-FAR, FAR_ERRORS, LEAST_FAR = 0.4, 3.0, 0.02
-"""change for which derivatives no longer serve: of a logarithm, in standard deviations of a share, and of a share as
-far as it is not that of a short
-"""
-NEARER, FIRST_HALF = 0.8, 0.9
-"""largest part of the way to a short in one step, and largest share after a step from the first half"""
-FAR_BELOW, LEAST_BELOW, MOST_BELOW = 5.0, 0.01, 0.2
-"""how far a share may be below nothing, in standard deviations, and as a share at least and at most"""
-HELD = 0.5
-"""sum of a line's conductances over that of their sizes, below which no cell of the line may be below nothing"""
-LEAST_CELL = 1e-18
-"""S: a cell's resistance has to be a number"""
-STEPS = 3  # evaluations of the model in a frame
+from ._tuning import (
+    BY_NOISE,
+    BY_STEPS,
+    FAR,
+    FAR_BELOW,
+    FAR_ERRORS,
+    FIRST_HALF,
+    HELD,
+    LARGE,
+    LEAST_BELOW,
+    LEAST_CELL,
+    LEAST_FAR,
+    MOST_BELOW,
+    NEARER,
+    NO_FIT,
+    SETTLED,
+    SHORT_SHARE,
+    SIGMAS,
+    USUAL_STEPS,
+)
 
 IDLE, ROW_LEAD = range(2)
 """places of what is given for each row: S of its pull-down, and ohm of the lead before it; likewise of columns"""
@@ -261,7 +258,7 @@ def measure_fitted(
     behind, highest = of_cells[BEHIND], of_cells[HIGHEST]
     settled = False
     squares, most = 0.0, 0.0
-    for number in range(STEPS + 1):
+    for number in range(USUAL_STEPS + 1):
         squares, most, settled = 0.0, 0.0, True
         step[:] = 0.0
         for i in range(rows):
@@ -276,7 +273,7 @@ def measure_fitted(
                 settled = False
         if settled and number > 0:
             break
-        if number == STEPS:
+        if number == USUAL_STEPS:
             return False
         for i in range(rows):
             for j in range(columns):
