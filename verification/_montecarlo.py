@@ -116,7 +116,8 @@ class Sampler:
             which[active[higher]] = len(boards) + np.flatnonzero(higher)
             worst = Corners.joined([worst, solved]).some(which)
             best[active] = np.maximum(best[active], values)
-        best = with_worse_presses(self.target, self.box, worst, best)
+        if len(self.named):
+            best = with_worse_presses(self.target, self.box, worst, best)
         return np.where(best > -inf, best, inf)  # a board of which nothing can be said has failed
 
     def _solved(self, boards: FloatArray, corners: Corners, chosen: IntArray) -> tuple[Corners, FloatArray]:

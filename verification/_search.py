@@ -57,6 +57,7 @@ def most_solved(shape: tuple[int, int]) -> int:
 
 
 Moves = Literal["flips", "slopes", "lines"]
+"""flips of single coordinates, solved or by derivatives; presses of whole lines"""
 
 
 class Target(ABC):
@@ -242,13 +243,15 @@ def worst_case(target: Target, box: Box, starts: Sequence[Corners] = ()) -> Wors
 def with_worse_presses(target: Target, box: Box, corners: Corners, values: FloatArray) -> FloatArray:
     """The values (C,) at some boards, after presses are changed as long as that makes them larger.
 
-    Presses change alone, or of arrays where that would take more than :data:`WORK` as whole lines.
+    Presses change alone, or where that would take more than :data:`WORK` as whole lines, or not at all.
     """
     presses = np.zeros(box.size, dtype=np.bool_)
     presses[len(box.factors) : len(box.factors) + box.cells] = True
     search = _Search(target, box, presses)
-    alone = len(corners) * box.cells * target.cost(box) <= WORK
-    return search.climb(corners, values, "flips" if alone else "lines").values
+    each = len(corners) * target.cost(box)
+    if each * len(search.lines) > WORK:
+        return values
+    return search.climb(corners, values, "flips" if each * box.cells <= WORK else "lines").values
 
 
 class _Search:
