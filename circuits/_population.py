@@ -167,7 +167,6 @@ def scan_population(
             result = scan(built[alike], cells[0 if len(cells) == 1 else number], method="exact")
             volts[number], saturated[number] = result.volts, result.saturated
         return PopulationReading(np.where(wanted, volts, np.nan), saturated & wanted)
-    low, high = design.readout.supply
     lines = board.transpose(np.broadcast_to(cells, volts.shape))
     for some, line in _groups(count, max(1, IN_CACHE // 8 // (rows * columns)), driven if board.floating else None):
         stack = boards.part(some).board(design)
@@ -178,7 +177,8 @@ def scan_population(
         outputs, _ = read_exactly(stack, lines[some])
         volts[some] = board.transpose(board.circuit.in_the_limit(stack, lines[some], outputs.volts))
         saturated[some] = board.transpose(outputs.saturated)
-    if not resolve_saturation and board.circuit.has_amplifiers:
+    if not resolve_saturation:
+        low, high = board.supply
         saturated = (volts < low) | (volts > high)
         np.clip(volts, low, high, out=volts)
     return PopulationReading(np.where(wanted, volts, np.nan), saturated & wanted)

@@ -123,12 +123,13 @@ class Sampler:
     def _solved(self, boards: FloatArray, corners: Corners, chosen: IntArray) -> tuple[Corners, FloatArray]:
         """The worst (S,) of T of the corners' cells and presses, chosen (S, T) for each board; and their values."""
         parts, cells = len(self.box.factors), self.box.cells
-        some = corners.some(chosen.ravel())
+        named = corners.some(chosen.ravel())
         own = np.repeat(boards, chosen.shape[1], axis=0)
-        x = np.concatenate([own[:, :parts], some.x[:, parts : parts + cells], own[:, parts:]], axis=1)
-        values = self.target.evaluate(self.box, some.at(x)).reshape(chosen.shape)
+        x = np.concatenate([own[:, :parts], named.x[:, parts : parts + cells], own[:, parts:]], axis=1)
+        tried = named.at(x)
+        values = self.target.evaluate(self.box, tried).reshape(chosen.shape)
         top = np.arange(len(boards)) * chosen.shape[1] + values.argmax(axis=1)
-        return some.at(x).some(top), values.max(axis=1)
+        return tried.some(top), values.max(axis=1)
 
 
 def proportion_bounds(kept: int, count: int) -> tuple[float, float]:

@@ -22,6 +22,7 @@ RANGE_SPARE = 10.0
 """lowest resistance within the range of loads over the least of any cell: overloads, cells that differ"""
 OFTEN = 3
 """frames with readings that no cells give, after which the design is taken for wrong"""
+
 # -- All answers (_answers.py) -----------------------------------------------------------------------------------------
 
 MOST_WIRE = 2.0
@@ -38,6 +39,7 @@ NARROWING_ROUNDS = 40
 """of narrowing bounds on all answers"""
 NARROWED = 1e-3
 """largest relative change of a bound in the last round"""
+
 # -- Laws (_law_kernels.py, _law_frames.py, _live_law.py) --------------------------------------------------------------
 
 LEAST = 1e-12
@@ -62,6 +64,7 @@ HIDDEN_MARGIN = 2.0
 """for some of the cells behind a break that conduct well, where the effects of all at once cancel"""
 COUPLED = 0.3
 """share of a column's current that may pass to others, from which on steps do not tell what is left"""
+
 # -- Factors beside a law (_factors.py) --------------------------------------------------------------------------------
 
 EVALUATIONS, FIRST_EVALUATIONS = 4, 30
@@ -78,6 +81,7 @@ EXPONENTS = -40.0, 7.0
 """range of the logarithms of conductances"""
 REGULAR = 1e-12
 """of the equations of steps, over their scale: what nothing determines stays"""
+
 # -- Bounds beside unknown cells (_enclosure.py) -----------------------------------------------------------------------
 
 ENCLOSURE_MARGIN = 1.2
@@ -96,6 +100,7 @@ MOST_CORRECTED = 3.0
 """by which a cell beyond the law's counts"""
 LEAST_DRIVE_LEFT = 1e-9
 """of a row's drive"""
+
 # -- Coupled fits (_live_fit.py, _usual_fits.py) -----------------------------------------------------------------------
 
 FIT_STEPS, FIRST_STEPS = 6, 60
@@ -178,6 +183,7 @@ CALM = 3
 """frames by the same derivatives, after which those of many cells are worth a matrix"""
 TYPICAL = 1e-5
 """S, of a cell if no reading shows a conductance"""
+
 # -- Models and derivatives (_lines.py, _quick_model.py, _node_blocks.py, _sheet_model.py) -----------------------------
 
 SWEEPS = 4
@@ -210,6 +216,7 @@ SHEET_SHARE = 0.1
 """of a change of the cells since the last solution, error of the difference"""
 SHEET_SERVES = 0.01
 """change of a logarithm up to which the difference is kept"""
+
 # -- Single frames (_recover.py) ---------------------------------------------------------------------------------------
 
 READ_TOLERANCE = 1e4
